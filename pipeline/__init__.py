@@ -1,0 +1,1 @@
+"""The ground that all stages stand on: store, recordings, simulation, policies."""

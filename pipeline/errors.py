@@ -1,0 +1,45 @@
+"""Errors raised on purpose: each says what is wrong, where, and the mend."""
+
+
+class HardcaseError(Exception):
+    """Base of every error we raise on purpose.
+
+    Args:
+        what: what is wrong, in a few words.
+        where: the file, field, topic or row it was found at.
+        mend: what a person can do about it; a command where there is one.
+    """
+
+    def __init__(self, what: str, *, where: object, mend: str) -> None:
+        self.what, self.where, self.mend = what, str(where), mend
+        super().__init__(f"{what}\n  at:   {where}\n  mend: {mend}")
+
+
+class RecordingError(HardcaseError):
+    """A recording is damaged, hostile, incomplete or of the wrong kind."""
+
+
+class StoreError(HardcaseError):
+    """The store is locked, short of space, inconsistent, or does not hold what was asked for."""
+
+
+class ConfigError(HardcaseError):
+    """A name, recipe or value that cannot be used."""
+
+
+class DatasetError(HardcaseError):
+    """A dataset version cannot be built or does not hold what its manifest says."""
+
+
+class PolicyError(HardcaseError):
+    """A policy file is refused or does not fit the robot."""
+
+
+class SimulationError(HardcaseError):
+    """A model does not load, or physics diverged."""
+
+
+def unknown(kind: str, name: str, known: object) -> ConfigError:
+    """The error for a name that is not in a table: it lists every valid one."""
+    names = ", ".join(sorted(str(k) for k in known))  # type: ignore[attr-defined]
+    return ConfigError(f"unknown {kind} {name!r}", where=f"--{kind} {name}", mend=f"use one of: {names}")

@@ -1,0 +1,81 @@
+"""What a finished loop says of itself: the machine-readable result and the numbers of the report."""
+
+from pydantic import Field
+
+from schemas.base import Frozen, ShortId
+from schemas.verdict import Proportion
+
+
+class GateLine(Frozen):
+    """The gate in one line."""
+
+    verdict: str
+    p: float | None
+
+
+class Generation(Frozen):
+    """One lap: success is the exam of that generation's champion."""
+
+    generation: int
+    dataset_version: ShortId
+    policy: ShortId = Field(description="champion after this generation's gate")
+    success: dict[str, Proportion] = Field(description="all, common, rare, deployment_mix")
+    gate: GateLine
+    robot_s: float = Field(description="robot time deployed so far, corrections included [s]")
+    corrections: int = Field(description="corrections asked for so far")
+    wall_s: dict[str, float] = Field(description="stage -> wall seconds of this lap")
+
+
+class Paired(Frozen):
+    """Generation 0 against the last, on the same exam scenes; it speaks of this pair and nothing more."""
+
+    fixed: int
+    broken: int
+    p: float
+
+
+class LoopResult(Frozen):
+    """Written by --json."""
+
+    generations: tuple[Generation, ...]
+    control: tuple[Generation, ...] | None = None
+    paired: Paired
+    wall_s: float
+    peak_pss_mb: float
+    seed: int
+    twin: int
+
+
+class AugmentReport(Frozen):
+    """What one augmentation made and what the filter kept."""
+
+    tried: dict[str, int] = Field(description="transform -> variants tried")
+    kept: dict[str, int]
+    survival: dict[str, float] = Field(description="demonstration id -> share of its variants that succeeded")
+    coverage_before: float = Field(description="share of 2 cm workspace cells with a start, before")
+    coverage_after: float
+
+
+class TriggerReport(Frozen):
+    """Sensor-side failure labels of one deployment against the truth that no decision reads."""
+
+    precision: float | None
+    recall: float | None
+    flagged: int
+    failed: int
+    by_trigger: dict[str, int]
+    by_family: dict[str, int]
+
+
+class Lap(Frozen):
+    """The numbers of one generation that only the report needs."""
+
+    generation: int
+    augment: AugmentReport | None = None
+    triggers: TriggerReport | None = None
+    exam_strata: dict[str, Proportion] = {}
+    candidate_exam: Proportion | None = Field(None, description="exam of the candidate, released or not")
+    rewards: dict[str, tuple[float, ...]] = Field({}, description="reward term -> mean by tick over the exam")
+    correction_success: Proportion | None = None
+    frames_by_source: dict[str, int] = {}
+    shadow_disagreement: tuple[float, float] | None = Field(None, description="mean on successes, on failures")
