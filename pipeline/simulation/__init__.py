@@ -1,0 +1,1 @@
+"""Simulation in three layers (robot body, scene, task) over one engine, MuJoCo's Batch."""

@@ -1,0 +1,160 @@
+"""Physics that differs from attempt to attempt, and the named randomizations that draw it in training."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from types import MappingProxyType
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+
+from pipeline.protocols import Array
+from schemas.scene import Draw
+
+MAX_DELAY = 5
+"""Longest command delay that the delay line holds, jitter included [ticks]."""
+
+STRIBECK_RAD_S = 0.05
+"""Speed at which static friction has fallen to 1/e (Armstrong-Helouvry 1991, Gaussian Stribeck curve)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Physics:
+    """One value an attempt, every array of shape (n,); factors are relative to the nominal body."""
+
+    kp: Array
+    """Servo stiffness [1]."""
+    damping: Array
+    """Joint damping [1]."""
+    frictionloss: Array
+    """Dry friction of the joints [1]."""
+    delay: Array
+    """Command delay [ticks of the control clock]."""
+    backlash: Array
+    """Play between motor and joint [rad]."""
+    friction: Array
+    """Sliding friction of the object [1]."""
+    mass: Array
+    """Mass of the object [kg]."""
+    tilt_x: Array
+    """Gravity along x [g]."""
+    tilt_y: Array
+    """Gravity along y [g]."""
+    bias_x: Array
+    """Error of the perceived object position [m]."""
+    bias_y: Array
+    """Error of the perceived object position [m]."""
+    noise: Array
+    """Standard deviation of the perceived position, each tick [m]."""
+    jitter: Array
+    """Probability that a command comes one tick later still [1]; zero in training."""
+    stiction: Array
+    """Additional dry friction at rest, relative to the nominal one [1]; zero in training."""
+
+    def take(self, rows: object) -> "Physics":
+        """The same values for a subset of attempts."""
+        return Physics(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+
+
+UNITS = MappingProxyType({
+    "kp": "1", "damping": "1", "frictionloss": "1", "delay": "tick", "backlash": "rad", "friction": "1", "mass": "kg",
+    "tilt_x": "g", "tilt_y": "g", "bias_x": "m", "bias_y": "m", "noise": "m", "jitter": "1", "stiction": "1",
+})
+NOMINAL = MappingProxyType({
+    "kp": 1.0, "damping": 1.0, "frictionloss": 1.0, "delay": 0.0, "backlash": 0.0, "friction": 1.0, "mass": 0.05,
+    "tilt_x": 0.0, "tilt_y": 0.0, "bias_x": 0.0, "bias_y": 0.0, "noise": 0.0, "jitter": 0.0, "stiction": 0.0,
+})
+
+
+def from_draws(draws: Sequence[Sequence[Draw]]) -> Physics:
+    """Physics of n attempts from their draws; what is not drawn stays nominal."""
+    table = {name: np.full(len(draws), value) for name, value in NOMINAL.items()}
+    for row, drawn in enumerate(draws):
+        for draw in drawn:
+            table[draw.name][row] = draw.value
+    return Physics(**table)
+
+
+type Randomize = Callable[[np.random.Generator, float], float]
+"""(generator, factor on the range's width) -> value."""
+
+
+def _uniform(low: float, high: float, floor: float) -> Randomize:
+    middle, half = (low + high) / 2, (high - low) / 2
+
+    def draw(rng: np.random.Generator, widen: float) -> float:
+        return max(floor, float(middle + half * widen * rng.uniform(-1, 1)))
+
+    return draw
+
+
+def _normal(sd: float) -> Randomize:
+    return lambda rng, widen: float(rng.normal(0, sd * widen))
+
+
+def _ticks(high: int) -> Randomize:
+    return lambda rng, widen: float(min(MAX_DELAY - 1, rng.integers(0, round(high * widen) + 1)))
+
+
+RANDOMIZATIONS: MappingProxyType[str, Randomize] = MappingProxyType({
+    "kp": _uniform(0.6, 1.3, 0.1),
+    "damping": _uniform(0.7, 1.5, 0.1),
+    "frictionloss": _uniform(0.5, 2.5, 0.0),
+    "delay": _ticks(2),
+    "backlash": _uniform(0.0, 0.010, 0.0),
+    "friction": _uniform(0.5, 1.2, 0.05),
+    "mass": _uniform(0.03, 0.13, 0.005),
+    "tilt_x": _normal(0.01),
+    "tilt_y": _normal(0.01),
+    "bias_x": _normal(0.005),
+    "bias_y": _normal(0.005),
+    "noise": _uniform(0.0, 0.002, 0.0),
+})
+"""Parameter of Physics -> how training draws it. Add one: a field of Physics with unit and nominal value, an entry here."""
+
+
+def randomize(rng: np.random.Generator, widen: float = 1.0) -> tuple[Draw, ...]:
+    """Draw every randomization once, in the table's order."""
+    return tuple(Draw(name=name, unit=UNITS[name], value=draw(rng, widen)) for name, draw in RANDOMIZATIONS.items())
+
+
+class Applied:
+    """Physics written into the model fields of a Batch.
+
+    Args:
+        batch: the simulations.
+        model: their common model.
+        physics: n rows.
+        dofs: degrees of freedom of the robot's joints.
+        half_m: half edge of each attempt's cube [m], shape (n,).
+    """
+
+    def __init__(self, batch: Batch, model: mujoco.MjModel, physics: Physics, dofs: Array, half_m: Array) -> None:
+        dofs, arm = dofs.astype(int), np.arange(len(dofs))
+        gain, bias = batch.expand("actuator_gainprm"), batch.expand("actuator_biasprm")
+        gain[:, arm, 0] *= physics.kp[:, None]
+        bias[:, arm, 1] *= physics.kp[:, None]
+        batch.expand("dof_damping")[:, dofs] *= physics.damping[:, None]
+        self._frictionloss = batch.expand("dof_frictionloss")
+        self._frictionloss[:, dofs] *= physics.frictionloss[:, None]
+        self._base = self._frictionloss[:, dofs].copy()
+        self._stiction = physics.stiction[:, None] * model.dof_frictionloss[dofs]
+        self._dofs, self.sticks = dofs, bool(physics.stiction.any())
+        body, geom = model.body("object").id, model.geom("object").id
+        friction = batch.expand("geom_friction")
+        for name in ("object", "table", "left_pad", "right_pad"):
+            # MuJoCo takes the larger friction of a pair: all of them get the drawn value.
+            friction[:, model.geom(name).id, 0] = physics.friction
+        batch.expand("body_mass")[:, body] = physics.mass
+        batch.expand("body_inertia")[:, body] = (physics.mass * (2 * half_m) ** 2 / 6)[:, None]
+        batch.expand("geom_size")[:, geom] = half_m[:, None]
+        batch.expand("geom_rbound")[:, geom] = half_m * np.sqrt(3)
+        batch.expand("geom_aabb")[:, geom, 3:] = half_m[:, None]
+        gravity = batch.expand("opt.gravity")
+        gravity[:, 0], gravity[:, 1] = 9.81 * physics.tilt_x, 9.81 * physics.tilt_y
+        batch.set_const()
+
+    def stick(self, velocity: Array, ids: Array) -> None:
+        """Raise dry friction at rest: base + stiction exp(-(v / v_s)^2); velocity [rad/s], shape (len(ids), nq)."""
+        extra = self._stiction[ids] * np.exp(-((velocity / STRIBECK_RAD_S) ** 2))
+        self._frictionloss[np.ix_(ids, self._dofs)] = self._base[ids] + extra

@@ -1,0 +1,58 @@
+"""Rollout: drive a World with a policy until every attempt has ended; finished ones leave the Batch."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.protocols import Array, Ids, Observation, Policy
+from pipeline.simulation.world import World
+
+type Watch = Callable[[int, Ids, Observation, Array], NDArray[np.bool_]]
+"""(tick, ids, observation, action sent) -> attempts that end now, shape (len(ids),)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """How n attempts ended."""
+
+    success: NDArray[np.bool_]
+    """Truth, shape (n,)."""
+    ticks: NDArray[np.int64]
+    """Length of each attempt, shape (n,)."""
+    rewards: dict[str, Array]
+    """Reward term -> mean over the attempts still running at each tick, shape (horizon,)."""
+
+
+def rollout(world: World, policy: Policy, *, horizon: int | None = None, watch: Watch | None = None,
+            until_success: bool = True, with_rewards: bool = False) -> Result:
+    """Run every attempt of `world` to its end.
+
+    Args:
+        world: attempts at their start, or restored.
+        policy: acts on observations; reset here.
+        horizon: longest attempt [ticks]; the task's own where None.
+        watch: called every tick after acting; may record, and may end attempts.
+        until_success: attempts end once the truth says success.
+        with_rewards: collect reward curves.
+    """
+    horizon = horizon or world.task.ticks
+    policy.reset(world.n)
+    ids = np.arange(world.n)
+    ticks, curves = np.zeros(world.n, np.int64), {name: np.full(horizon, np.nan) for name in world.task.weights}
+    for tick in range(horizon):
+        observation = world.observe(ids)
+        action = policy.act(observation, ids)
+        world.act(action, ids)
+        ticks[ids] = tick + 1
+        if with_rewards:
+            for name, value in world.rewards(ids).items():
+                curves[name][tick] = value.mean()
+        over = world.succeeded(ids) if until_success else np.zeros(len(ids), bool)
+        if watch is not None:
+            over = over | watch(tick, ids, observation, action)
+        ids = ids[~over]
+        if not len(ids):
+            break
+    return Result(world.succeeded(np.arange(world.n)), ticks, curves if with_rewards else {})

@@ -1,0 +1,198 @@
+"""World: n attempts of one task side by side in one Batch, acting and perceiving like robots."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from numpy.typing import NDArray
+
+from pipeline.protocols import Array, Ids, Observation
+from pipeline.simulation.kinematics import Kinematics
+from pipeline.simulation.model import Setup
+from pipeline.simulation.physics import MAX_DELAY, Applied, Physics
+from pipeline.simulation.tasks import load_task
+from schemas.scene import SceneSpec
+
+CONTROL_HZ = 20.0
+LIMITS = np.array([0.02, 0.02, 0.02, 0.12])
+"""Largest step of the commanded pose a tick [m, m, m, rad]."""
+REACH = np.array([[0.12, 0.48], [-0.36, 0.36], [0.008, 0.30], [-2.2, 2.2]])
+"""Box of commanded poses: x, y, z [m], yaw [rad]."""
+OPEN_M = 0.08
+HOME = np.array([0.28, 0.0, 0.18, 0.0])
+"""Commanded pose at reset [m, rad]."""
+CONTROLLER_WIDTH = 5 + 6 + 7 * (MAX_DELAY + 1) + 7 + 4
+
+
+@dataclass(slots=True)
+class _Command:
+    """The lower controller's memory; rows are attempts."""
+
+    pose: Array
+    opening: Array
+    joints: Array
+    line: Array
+    play: Array
+    ticks: NDArray[np.int64]
+    held: NDArray[np.int64]
+    sensed: NDArray[np.int64]
+    step: Array
+
+
+class World:
+    """n robots on one control clock; implements pipeline.protocols.Robot.
+
+    Args:
+        setup: compiled robot and scene.
+        scenes: start of each attempt; all of one task.
+        physics: physics of each attempt.
+        threads: threads of the engine.
+    """
+
+    control_hz = CONTROL_HZ
+
+    def __init__(self, setup: Setup, scenes: Sequence[SceneSpec], physics: Physics, *, threads: int = 2) -> None:
+        self.setup, self.scenes, self.n = setup, tuple(scenes), len(scenes)
+        self.task, self.physics = load_task(scenes[0].task), physics
+        model, body = setup.model, setup.body
+        self.batch = Batch(model, nsim=self.n, nthread=threads)
+        self.kinematics = Kinematics(setup, self.n, threads)
+        joint = {model.joint(i).name: i for i in range(model.njnt)}
+        self._arm = np.array([model.jnt_qposadr[joint[name]] for name in body.joints])
+        self._dof = np.array([model.jnt_dofadr[joint[name]] for name in body.joints])
+        self._finger = np.array([model.jnt_qposadr[joint[name]] for name in body.fingers])
+        self._finger_dof = np.array([model.jnt_dofadr[joint[name]] for name in body.fingers])
+        self._object = int(model.jnt_qposadr[joint["object"]])
+        self._half = np.array([s.object_half_m for s in scenes])
+        self._target = np.array([[*s.target_xy_m, 0.0] for s in scenes])
+        self._applied = Applied(self.batch, model, physics, self._dof, self._half)
+        self._qpos, self._qvel, self._ctrl = (self.batch.bind(k) for k in ("qpos", "qvel", "ctrl"))
+        self._force = self.batch.bind("actuator_force")
+        self._substeps = round(1 / CONTROL_HZ / model.opt.timestep)
+        self._noise = np.empty((self.n, self.task.ticks + 1, 3))
+        self._late = np.empty((self.n, self.task.ticks + 1))
+        for row, scene in enumerate(scenes):
+            rng = np.random.default_rng([scene.seed, 7])
+            self._noise[row] = rng.standard_normal(self._noise.shape[1:])
+            self._late[row] = rng.random(self._late.shape[1])
+        self._reset()
+
+    def _reset(self) -> None:
+        n, body = self.n, self.setup.body
+        self.batch.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE))
+        home = np.tile(np.array(body.home), (n, 1))
+        for _ in range(40):
+            home = self.kinematics.towards(home, np.tile(HOME, (n, 1)))
+        self._qpos[:, self._arm] = home
+        self._qpos[:, self._finger] = OPEN_M / 2
+        yaw = np.array([s.object_yaw_rad for s in self.scenes])
+        at = self._object
+        self._qpos[:, at:at + 2] = [s.object_xy_m for s in self.scenes]
+        self._qpos[:, at + 2] = self._half
+        self._qpos[:, at + 3:at + 7] = np.column_stack([np.cos(yaw / 2), 0 * yaw, 0 * yaw, np.sin(yaw / 2)])
+        self.batch.bind("mocap_pos")[:, 0] = self._target + [0, 0, 0.0005]
+        full = np.column_stack([home, np.full(n, OPEN_M / 2)])
+        self._ctrl[:] = full
+        self.command = _Command(
+            np.tile(HOME, (n, 1)), np.full(n, OPEN_M), home, np.repeat(full[:, None], MAX_DELAY + 1, axis=1),
+            full.copy(), np.zeros(n, int), np.zeros(n, int), np.zeros(n, int), np.zeros(n))
+
+    # -- perceiving -------------------------------------------------------------------------------------------------
+
+    def observe(self, ids: Ids) -> Observation:
+        """What the robots perceive now: encoders, forward kinematics, their own command, and a biased camera."""
+        c, q = self.command, self._qpos[np.ix_(ids, self._arm)]
+        opening = self._qpos[np.ix_(ids, self._finger)].sum(axis=1)
+        state = np.column_stack([q, opening, self.kinematics.xyz_yaw(q), c.pose[ids], c.opening[ids]])
+        noise = self._noise[ids, c.ticks[ids]] * self.physics.noise[ids, None]
+        seen = self._qpos[ids, self._object:self._object + 3] + noise
+        seen[:, 0] += self.physics.bias_x[ids]
+        seen[:, 1] += self.physics.bias_y[ids]
+        environment = np.column_stack([seen, self._yaw(ids), self._target[ids]])
+        return Observation(state, environment)
+
+    def _yaw(self, ids: Ids) -> Array:
+        """Yaw of the cube within a quarter turn, the most that a camera can tell [rad]."""
+        w, x, y, z = self._qpos[ids, self._object + 3:self._object + 7].T
+        yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        return (yaw + np.pi / 4) % (np.pi / 2) - np.pi / 4
+
+    # -- acting -----------------------------------------------------------------------------------------------------
+
+    def act(self, action: Array, ids: Ids) -> None:
+        """Move the commanded pose by `action`, solve for joints, and let one control period pass."""
+        c = self.command
+        pose = np.clip(c.pose[ids] + np.clip(action[:, :4], -LIMITS, LIMITS), REACH[:, 0], REACH[:, 1])
+        opening = np.clip(action[:, 4], 0.0, OPEN_M)
+        joints = self.kinematics.towards(c.joints[ids], pose)
+        c.step[ids] = ((joints - c.joints[ids]) ** 2).sum(axis=1)
+        c.pose[ids], c.opening[ids], c.joints[ids] = pose, opening, joints
+        c.line[ids, 1:] = c.line[ids, :-1]
+        c.line[ids, 0, :6], c.line[ids, 0, 6] = joints, opening / 2
+        late = self._late[ids, c.ticks[ids]] < self.physics.jitter[ids]
+        delay = np.minimum(self.physics.delay[ids].astype(int) + late, MAX_DELAY)
+        wanted = c.line[ids, delay]
+        # Play operator: the joint follows only once the motor has crossed the gap.
+        half = self.physics.backlash[ids, None] / 2
+        wanted[:, :6] = np.clip(c.play[ids, :6], wanted[:, :6] - half, wanted[:, :6] + half)
+        c.play[ids] = wanted
+        self._ctrl[ids] = wanted
+        if self._applied.sticks:
+            self._applied.stick(self._qvel[np.ix_(ids, self._dof)], ids)
+        self.batch.step(ids, nstep=self._substeps)
+        c.ticks[ids] += 1
+        self._judge(ids)
+
+    def sent(self, ids: Ids) -> Array:
+        """Joint targets last sent [rad] and opening [m], shape (len(ids), 7)."""
+        return np.column_stack([self.command.joints[ids], self.command.opening[ids]])
+
+    # -- judging ----------------------------------------------------------------------------------------------------
+
+    def _judge(self, ids: Ids) -> None:
+        c, task = self.command, self.task
+        q = self._qpos[np.ix_(ids, self._arm)]
+        self._tool = self.kinematics.pose(q)[0]
+        cube = self._qpos[ids, self._object:self._object + 3]
+        opening = self._qpos[np.ix_(ids, self._finger)].sum(axis=1)
+        at = np.hypot(*(cube - self._target[ids])[:, :2].T) < task.within_m
+        low = np.abs(cube[:, 2] - self._half[ids]) < task.on_table_m
+        away = np.linalg.norm(self._tool - cube, axis=1) > task.hand_away_m
+        c.held[ids] = np.where(at & low & away & (opening > task.open_m), c.held[ids] + 1, 0)
+        self._reward_inputs = (cube, opening)
+
+    def succeeded(self, ids: Ids) -> NDArray[np.bool_]:
+        """Truth: on the mark, on the table, let go and away, for the hold time."""
+        return self.command.held[ids] >= self.task.hold_ticks
+
+    def rewards(self, ids: Ids) -> dict[str, Array]:
+        """Reward terms of the tick just passed for the ids that just acted, weights applied, each (len(ids),)."""
+        cube, opening = self._reward_inputs
+        reach = np.linalg.norm(self._tool - cube, axis=1)
+        gap = np.linalg.norm(cube - self._target[ids] - [0, 0, 1] * self._half[ids, None], axis=1)
+        held = (reach < 0.03) & (np.abs(opening - 2 * self._half[ids]) < 0.008)
+        terms = {"reach": np.exp(-reach / 0.1), "grasp": held.astype(float), "carry": np.exp(-gap / 0.1),
+                 "success": self.succeeded(ids).astype(float), "effort": self.command.step[ids]}
+        return {name: weight * terms[name] for name, weight in self.task.weights.items()}
+
+    # -- restoring --------------------------------------------------------------------------------------------------
+
+    def save(self, ids: Ids) -> tuple[Array, Array]:
+        """State rows: the engine's (mjSTATE_INTEGRATION) and the controller's, CONTROLLER_WIDTH wide."""
+        rows, c = self.batch.state[ids].copy(), self.command
+        memory = np.column_stack([c.pose[ids], c.opening[ids], c.joints[ids], c.line[ids].reshape(len(ids), -1),
+                                  c.play[ids], c.ticks[ids], c.held[ids], c.sensed[ids], c.step[ids]])
+        return rows, memory
+
+    def load(self, ids: Ids, rows: Array, memory: Array) -> None:
+        """Restore what `save` gave, bit for bit."""
+        self.batch.state[ids] = rows
+        c, lines = self.command, 7 * (MAX_DELAY + 1)
+        c.pose[ids], c.opening[ids], c.joints[ids] = memory[:, :4], memory[:, 4], memory[:, 5:11]
+        c.line[ids] = memory[:, 11:11 + lines].reshape(len(ids), MAX_DELAY + 1, 7)
+        c.play[ids] = memory[:, 11 + lines:18 + lines]
+        rest = memory[:, 18 + lines:22 + lines]
+        c.ticks[ids], c.held[ids], c.sensed[ids] = rest[:, :3].astype(int).T
+        c.step[ids] = rest[:, 3]
