@@ -1,0 +1,83 @@
+"""The layout of a LeRobot v3.0 folder: names of files, features in column order, info.json.
+
+Source: lerobot 0.6.1, lerobot/datasets/utils.py (DatasetInfo, path patterns) and dataset_metadata.py.
+"""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from pipeline.frames import FEATURES
+
+INFO = "meta/info.json"
+STATS = "meta/stats.json"
+TASKS = "meta/tasks.parquet"
+EPISODES = "meta/episodes/chunk-000/file-000.parquet"
+MANIFEST = "meta/hardcase.json"
+"""Ours: lerobot logs a warning about every key of info.json that it does not know."""
+
+DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+FILES_PER_CHUNK = 1000
+DATA_FILE_MB = 100
+
+INTERVENTION = "intervention"
+"""Whether a person or their stand-in commanded the frame after a policy had begun the episode."""
+
+BOOKKEEPING = {
+    "timestamp": "float32", "frame_index": "int64", "episode_index": "int64", "index": "int64", "task_index": "int64",
+}
+"""Columns that every LeRobot dataset has, one value a frame."""
+
+
+def features() -> dict[str, dict[str, object]]:
+    """Feature name -> dtype, shape and value names, in the column order of the data files."""
+    declared: dict[str, dict[str, object]] = {
+        name: {"dtype": "float32", "shape": [len(names)], "names": list(names)} for name, names in FEATURES.items()
+    }
+    declared[INTERVENTION] = {"dtype": "int64", "shape": [1], "names": None}
+    declared |= {name: {"dtype": dtype, "shape": [1], "names": None} for name, dtype in BOOKKEEPING.items()}
+    return declared
+
+
+def widths() -> dict[str, int]:
+    """Feature name -> values a frame, in column order."""
+    return {name: len(names) for name, names in FEATURES.items()} | {
+        name: 1 for name in (INTERVENTION, *BOOKKEEPING)
+    }
+
+
+def frame_bytes() -> int:
+    """Uncompressed size of one frame in a data file [B]."""
+    return sum(len(names) for names in FEATURES.values()) * 4 + 8 + 4 + 4 * 8
+
+
+def info(*, robot: str, fps: int, episodes: int, frames: int, tasks: int) -> dict[str, object]:
+    """The content of info.json.
+
+    The one split, train, spans every episode, because a LeRobot split must be a contiguous range and
+    held-out lineages are not: which episodes are held out stands in the episodes table and the manifest.
+    """
+    return {
+        "codebase_version": "v3.0",
+        "fps": fps,
+        "features": features(),
+        "total_episodes": episodes,
+        "total_frames": frames,
+        "total_tasks": tasks,
+        "chunks_size": FILES_PER_CHUNK,
+        "data_files_size_in_mb": DATA_FILE_MB,
+        "video_files_size_in_mb": 200,
+        "data_path": DATA_PATH,
+        "video_path": None,
+        "robot_type": robot,
+        "splits": {"train": f"0:{episodes}"},
+    }
+
+
+def data_file(number: int) -> str:
+    """Relative path of data file 0, 1, 2, ... of a version."""
+    return DATA_PATH.format(chunk_index=number // FILES_PER_CHUNK, file_index=number % FILES_PER_CHUNK)
+
+
+def files_in(folder: Path) -> Iterable[Path]:
+    """Every file below the folder, sorted by relative path."""
+    return sorted((p for p in folder.rglob("*") if not p.is_dir()), key=lambda p: p.relative_to(folder).as_posix())

@@ -1,0 +1,74 @@
+"""What a version can take over from its parent without writing it again."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.arrow import pa, to_rows
+from pipeline.lerobot_view.exact import MEASURES
+from pipeline.lerobot_view.layout import EPISODES, FILES_PER_CHUNK, data_file, widths
+from pipeline.lerobot_view.tables import Columns, Place, Row
+
+
+@dataclass(frozen=True, slots=True)
+class Shared:
+    """The data files at the head of the parent whose every episode is still in its place."""
+
+    files: tuple[str, ...]
+    places: tuple[Place, ...]
+    columns: Columns
+    measures: NDArray[np.float64]
+    """Statistics of each episode, shape (episodes, len(MEASURES), values)."""
+
+
+def shared_with(parent: Path | None, rows: Sequence[Row]) -> Shared:
+    """The longest run of whole data files of the parent that hold the first of these rows, in order.
+
+    An episode is the same if its id, recording, segments and task are: then its row group is, bit for
+    bit, since the indices count from the start of the version. A file with one episode that left
+    or changed, and all files after it, must be written again.
+    """
+    if parent is None:
+        return _nothing()
+    table = pa.parquet.read_table(parent / EPISODES, use_threads=False)
+    kept: list[Place] = []
+    chunks, files, starts, stops = (table.column(name).to_pylist() for name in (
+        "data/chunk_index", "data/file_index", "dataset_from_index", "dataset_to_index"))
+    old = list(zip(*(table.column(n).to_pylist() for n in ("episode_id", "blob", "segments", "tasks")), strict=True))
+    new = [(row.episode.id, row.episode.blob, row.segments, [row.task]) for row in rows]
+    numbers = [chunk * FILES_PER_CHUNK + file for chunk, file in zip(chunks, files, strict=True)]
+    for number in sorted(set(numbers)):
+        here = [k for k, n in enumerate(numbers) if n == number]
+        if [old[k] for k in here] != new[here[0]:here[-1] + 1]:
+            break
+        kept += [Place(number, starts[k], stops[k]) for k in here]
+    if not kept:
+        return _nothing()
+    shared = tuple(data_file(number) for number in range(kept[-1].file + 1))
+    return Shared(shared, tuple(kept), _read(parent, shared), _measures(table, len(kept)))
+
+
+def _nothing() -> Shared:
+    empty: Columns = {name: np.empty((0, width)) for name, width in widths().items()}
+    return Shared((), (), empty, np.empty((0, len(MEASURES), sum(widths().values()))))
+
+
+def _read(folder: Path, files: Sequence[str]) -> Columns:
+    tables: list[Any] = [pa.parquet.read_table(folder / f, use_threads=False, partitioning=None) for f in files]
+    table = pa.concat_tables(tables)
+    return {name: to_rows(table.column(name), width) for name, width in widths().items()}
+
+
+def _measures(table: Any, episodes: int) -> NDArray[np.float64]:
+    result = np.empty((episodes, len(MEASURES), sum(widths().values())))
+    first = 0
+    for name, width in widths().items():
+        for k, measure in enumerate(MEASURES):
+            column = table.column(f"stats/{name}/{measure}").slice(0, episodes).combine_chunks()
+            result[:, k, first:first + width] = column.flatten().to_numpy().reshape(episodes, width)
+        first += width
+    return result

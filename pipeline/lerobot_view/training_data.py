@@ -1,0 +1,137 @@
+"""Training data in memory: a version's arrays, and batches gathered from them by index."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.arrow import pa, to_rows
+from pipeline.frames import FEATURES
+from pipeline.lerobot_view.layout import EPISODES, INTERVENTION, data_file
+from pipeline.lerobot_view.manifest import load_version
+
+type Rows = NDArray[np.intp]
+
+
+class Batch(NamedTuple):
+    """b samples: what was seen at a frame, and the actions from that frame on."""
+
+    state: NDArray[np.float32]
+    """observation.state, shape (b, 16)."""
+    environment: NDArray[np.float32]
+    """observation.environment_state, shape (b, 7)."""
+    actions: NDArray[np.float32]
+    """action, shape (b, chunk, 5); past the end the last action is repeated."""
+    mask: NDArray[np.bool_]
+    """True where the action was really commanded, False where it is padding, shape (b, chunk)."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingData:
+    """One version in memory. A sample starts at a frame that teaches and ends with its run of such frames.
+
+    Of an episode with an intervention only the intervention teaches: what the policy did before led to
+    the failure. Of any other episode every frame teaches.
+    """
+
+    state: NDArray[np.float32]
+    """Every frame of the version, shape (n, 16)."""
+    environment: NDArray[np.float32]
+    """Shape (n, 7)."""
+    action: NDArray[np.float32]
+    """Shape (n, 5)."""
+    starts: Rows
+    """First row of each episode, shape (episodes,)."""
+    stops: Rows
+    """Row after the last of each episode, shape (episodes,)."""
+    last: Rows
+    """For every frame that teaches, the last row of its run, shape (n,)."""
+    train: MappingProxyType[str, Rows]
+    """Group -> rows that may start a training sample."""
+    weights: MappingProxyType[str, float]
+    """Group -> share of each batch; the shares add up to 1."""
+    held_out_rows: Rows
+    """Rows that may start a sample of the validation split; may be empty."""
+
+    @classmethod
+    def load(cls, folder: Path) -> Self:
+        """Read a version folder without lerobot or torch.
+
+        Raises:
+            DatasetError: the folder is no version, or was changed after it was built.
+        """
+        version = load_version(folder)
+        episodes = pa.parquet.read_table(folder / EPISODES, use_threads=False, columns=[
+            "dataset_from_index", "dataset_to_index", "split", "group"])
+        starts, stops = (episodes.column(n).to_numpy() for n in ("dataset_from_index", "dataset_to_index"))
+        state, environment, action, intervention = _read(folder)
+        teaches, last = _runs(starts, stops, intervention)
+        lengths = stops - starts
+        train = np.repeat(np.array(episodes.column("split").to_pylist()) == "train", lengths)
+        group = np.repeat(np.array(episodes.column("group").to_pylist()), lengths)
+        rows = {name: np.flatnonzero(train & teaches & (group == name)) for name in version.weights}
+        return cls(state, environment, action, starts, stops, last, MappingProxyType(rows),
+                   MappingProxyType(dict(version.weights)), np.flatnonzero(~train & teaches))
+
+    @property
+    def training_rows(self) -> Rows:
+        """Every row that may start a training sample, in order: what normalisers are fitted on."""
+        return np.sort(np.concatenate(list(self.train.values())))
+
+    def sample(self, rng: np.random.Generator, batch: int, chunk: int) -> Batch:
+        """Draw a batch: the groups by their shares, the frames of a group evenly, with replacement.
+
+        Shares that do not give whole numbers are rounded at random, so that they hold on average for
+        every size of batch. Equal generators give equal batches.
+
+        Args:
+            rng: the only source of randomness.
+            batch: samples to draw.
+            chunk: actions a sample, at least 1.
+        """
+        exact = batch * np.array(list(self.weights.values()))
+        counts = np.floor(exact + 1e-9).astype(np.intp)
+        if rest := batch - int(counts.sum()):
+            part = np.maximum(exact - counts, 0)
+            counts += rng.multinomial(rest, part / part.sum())
+        picks = [rows[rng.integers(rows.size, size=n)] for rows, n in zip(self.train.values(), counts, strict=True)]
+        return self.gather(np.concatenate(picks), chunk)
+
+    def held_out(self, chunk: int) -> Batch:
+        """Every sample of the validation split, in order."""
+        return self.gather(self.held_out_rows, chunk)
+
+    def gather(self, rows: Rows, chunk: int) -> Batch:
+        """The samples that start at these rows."""
+        wanted = rows[:, None] + np.arange(chunk)
+        last = self.last[rows][:, None]
+        return Batch(self.state.take(rows, axis=0), self.environment.take(rows, axis=0),
+                     self.action.take(np.minimum(wanted, last), axis=0), wanted <= last)
+
+
+def _read(folder: Path) -> tuple[NDArray[Any], ...]:
+    names = ("observation.state", "observation.environment_state", "action")
+    widths = {**{name: len(FEATURES[name]) for name in names}, INTERVENTION: 1}
+    tables: list[Any] = []
+    while (path := folder / data_file(len(tables))).exists():
+        tables.append(pa.parquet.read_table(path, columns=[*widths], use_threads=False, partitioning=None))
+    table = pa.concat_tables(tables)
+    return tuple(to_rows(table.column(name), width) for name, width in widths.items())
+
+
+def _runs(starts: Rows, stops: Rows, intervention: NDArray[np.int64]) -> tuple[NDArray[np.bool_], Rows]:
+    """Whether each frame teaches, and the last row of the run of teaching frames that it stands in."""
+    lengths = stops - starts
+    commanded = intervention[:, 0] == 1
+    taken_over = np.repeat(np.logical_or.reduceat(commanded, starts), lengths)
+    teaches = commanded | ~taken_over
+    ends = teaches.copy()  # a run ends where the episode does, or before a frame that does not teach
+    ends[:-1] &= ~teaches[1:]
+    ends[stops - 1] = teaches[stops - 1]
+    last = np.full(teaches.size, -1)
+    at = np.flatnonzero(ends)
+    last[teaches] = at[np.searchsorted(at, np.flatnonzero(teaches))]
+    return teaches, last

@@ -1,0 +1,137 @@
+"""Writes a version folder: built aside, made durable and read-only, then named in one step."""
+
+import json
+import os
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.errors import DatasetError
+from pipeline.files import sha256_file, sync_folder
+from pipeline.frames import Frames
+from pipeline.lerobot_view import layout
+from pipeline.lerobot_view.exact import as_matrix, by_feature, measure
+from pipeline.lerobot_view.sharing import shared_with
+from pipeline.lerobot_view.tables import Columns, Place, Row, frame_columns, write_episodes, write_frames, write_tasks
+from pipeline.shards import check_frames
+from schemas.episode import Episode
+
+type FramesOf = Callable[[Episode], Frames]
+
+
+def write_version(target: Path, rows: Sequence[Row], frames_of: FramesOf, manifest: Mapping[str, object], *,
+                  fps: int, robot: str, parent: Path | None = None) -> None:
+    """Write one LeRobot v3.0 folder that never changes again.
+
+    Whoever looks at `target` sees nothing or all of it: the folder is built under a hidden name beside
+    it, every file is fsynced, and one rename names it. What a killed writer left behind is removed by
+    the next.
+
+    Args:
+        target: the folder, which must not exist yet.
+        rows: the episodes in the order of episode_index, at least one.
+        frames_of: gives the frames of an episode; asked once for each that the parent does not share.
+        manifest: what meta/hardcase.json says besides the digests of the other files.
+        fps: rate of the control clock [Hz].
+        robot: name of the robot.
+        parent: folder of a version whose data files may be shared.
+
+    Raises:
+        RecordingError, DatasetError: frames that cannot be trained on; the error names the episode.
+        OSError: the disk is full or read-only; nothing is left behind.
+    """
+    building = target.with_name(f".{target.name}.building")
+    if building.exists():
+        shutil.rmtree(building)
+    building.mkdir(parents=True)
+    try:
+        _fill(building, rows, frames_of, fps=fps, robot=robot, parent=parent)
+        _write_manifest(building, manifest)
+        _seal(building)
+        building.rename(target)
+        sync_folder(target.parent)
+    except BaseException:
+        shutil.rmtree(building, ignore_errors=True)
+        raise
+
+
+def _fill(folder: Path, rows: Sequence[Row], frames_of: FramesOf, *, fps: int, robot: str, parent: Path | None) -> None:
+    shared = shared_with(parent, rows)
+    if parent is not None:
+        for file in shared.files:
+            link(parent / file, folder / file)
+    tasks = list(dict.fromkeys(row.task for row in rows))
+    places, columns, measures = list(shared.places), shared.columns, [shared.measures]
+    new = rows[len(places):]
+    if new:
+        frames = [_checked(frames_of(row.episode), row.episode) for row in new]
+        fresh = frame_columns(new, frames, tasks, fps=fps, first_episode=len(places),
+                              first_frame=places[-1].stop if places else 0)
+        added = _write_files(folder, fresh, [len(f) for f in frames], places)
+        matrix, first = as_matrix(fresh), added[0].start
+        measures.append(np.stack([measure(matrix[:, p.start - first:p.stop - first]) for p in added]))
+        columns = {name: np.concatenate([columns[name], fresh[name]]) if places else fresh[name] for name in fresh}
+        places += added
+    total = places[-1].stop
+    write_tasks(folder / layout.TASKS, tasks)
+    write_episodes(folder / layout.EPISODES, rows, places, np.concatenate(measures))
+    _write_json(folder / layout.STATS, by_feature(measure(as_matrix(columns)), total))
+    _write_json(folder / layout.INFO, layout.info(robot=robot, fps=fps, episodes=len(rows), frames=total,
+                                                  tasks=len(tasks)))
+
+
+def _write_files(folder: Path, columns: Columns, lengths: Sequence[int], before: Sequence[Place]) -> list[Place]:
+    """Write new data files of at most DATA_FILE_MB; a parent's file is never added to."""
+    limit = layout.DATA_FILE_MB * 2**20 // layout.frame_bytes()
+    file, start = (before[-1].file + 1, before[-1].stop) if before else (0, 0)
+    origin, places, groups = start, list[Place](), list[list[int]]([[]])
+    for length in lengths:
+        if groups[-1] and sum(groups[-1]) + length > limit:
+            groups.append([])
+        groups[-1].append(length)
+        places.append(Place(file + len(groups) - 1, start, start + length))
+        start += length
+    for number, group in enumerate(groups):
+        head = next(p.start for p in places if p.file == file + number) - origin
+        part = {name: values[head:head + sum(group)] for name, values in columns.items()}
+        write_frames(folder / layout.data_file(file + number), part, group)
+    return places
+
+
+def _checked(frames: Frames, episode: Episode) -> Frames:
+    check_frames(frames, f"episode {episode.id}")
+    if len(frames) != episode.frames:
+        raise DatasetError(f"{len(frames)} frames were read, the episode has {episode.frames}",
+                           where=f"episode {episode.id}", mend="recover the recording or drop the episode")
+    return frames
+
+
+def link(source: Path, target: Path) -> None:
+    """One file under two names; a copy where the file system cannot do that."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copyfile(source, target)
+
+
+def _write_manifest(folder: Path, manifest: Mapping[str, object]) -> None:
+    files = {p.relative_to(folder).as_posix(): sha256_file(p) for p in layout.files_in(folder)}
+    _write_json(folder / layout.MANIFEST, {**manifest, "files": files})
+
+
+def _write_json(path: Path, content: Mapping[str, object]) -> None:
+    path.write_text(json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _seal(folder: Path) -> None:
+    """Take the right to write from every file, and wait until files and names are on the disk."""
+    for path in layout.files_in(folder):
+        path.chmod(0o444)
+        with path.open("rb") as stream:
+            os.fsync(stream.fileno())
+    for path in sorted((p for p in folder.rglob("*") if p.is_dir()), reverse=True):
+        sync_folder(path)
+    sync_folder(folder)

@@ -1,0 +1,173 @@
+"""Build: episodes and a recipe become an immutable dataset version."""
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from pathlib import Path
+from typing import get_args
+
+from pipeline import arrow, frames, shards, trace
+from pipeline.errors import ConfigError, DatasetError
+from pipeline.files import short_id, source_hash
+from pipeline.frames import Frames
+from pipeline.lerobot_view import exact, layout, manifest, sharing, split, tables, writer
+from pipeline.lerobot_view.manifest import load_version
+from pipeline.lerobot_view.tables import Row
+from schemas.dataset import DatasetVersion
+from schemas.episode import VARIANTS, Episode, Origin
+from schemas.recipe import Recipe
+
+__all__ = ["build", "code_hash", "load_version"]
+
+ORIGINS: tuple[str, ...] = get_args(Origin.__value__)
+
+FOLDER = "versions"
+"""Where versions lie, relative to the store's root."""
+
+
+def build(episodes: Sequence[Episode], frames_of: Callable[[Episode], Frames] | Mapping[str, Frames], recipe: Recipe,
+          *, store: Path, task: str, generation: int, parent: DatasetVersion | None = None,
+          consents: Collection[str] = ()) -> DatasetVersion:
+    """Make the dataset version that the recipe asks for, or return it if it is already there.
+
+    Episodes of the parent keep their order and come first; those that also keep their place share its
+    files and are not read again. The id follows from the recipe, the episodes, the parent and the code,
+    so that a build which was killed and started again ends in the same version.
+
+    Args:
+        episodes: everything that may enter, the parent's episodes included; ancestors that the filter
+            drops should be among them, because they tell which episodes belong together.
+        frames_of: gives the frames of an episode.
+        recipe: its dataset section chooses; augment.keep_rejected lets failed variants pass.
+        store: root of the store; the version becomes store/versions/ID.
+        task: what the robot is asked to do, in words, for language-conditioned policies.
+        generation: lap of the loop, from 0.
+        parent: the version this one grows from.
+        consents: ids of the consent records that hold.
+
+    Raises:
+        DatasetError: nothing is left after the filter, an episode has no consent or recording, its frames
+            are not what its record says, or the parent's folder is damaged.
+        RecordingError: a frame that is not finite or has a wrong shape; names the episode.
+        ConfigError: weights that do not fit the groups of episodes.
+    """
+    chosen = _in_order(_filtered(episodes, recipe, consents), parent)
+    fps, robot = _common(chosen)
+    code = code_hash()
+    version = short_id(
+        "dataset version", recipe.dataset.model_dump_json(), recipe.augment.keep_rejected, task, generation,
+        parent.id if parent else "", code, *(e.model_dump_json() for e in chosen),
+    )
+    target = store / FOLDER / version
+    if target.exists():
+        return load_version(target)
+    decided = split.Decided() if parent is None else _parent_decisions(store, parent)
+    rows, held, weights = _rows(chosen, episodes, recipe, task, decided)
+    train = {row.lineage for row in rows} - held
+    content = manifest.write_content(
+        {
+            "id": version, "recipe": recipe.name, "parent": parent.id if parent else None, "generation": generation,
+            "path": f"{FOLDER}/{version}", "episodes": [e.id for e in chosen],
+            "held_out": [row.episode.id for row in rows if row.split == "held_out"], "weights": weights,
+            "inputs": list(dict.fromkeys(e.blob for e in chosen)), "code": code,
+            "frames": sum(e.frames for e in chosen),
+        },
+        recipe=recipe.model_dump(mode="json"), task=task,
+        lineages={"held_out": sorted(held | decided.held_out), "train": sorted(train | decided.train)},
+    )
+    reuse = store / parent.path if parent and parent.code == code else None
+    writer.write_version(target, rows, _getter(frames_of), content, fps=fps, robot=robot, parent=reuse)
+    return load_version(target)
+
+
+def code_hash() -> str:
+    """Hash of every source file that decides which bytes a recording becomes."""
+    modules = (arrow, frames, shards, trace, exact, layout, manifest, sharing, split, tables, writer)
+    here = Path(__file__)
+    files = [Path(m.__file__ or "") for m in modules]
+    return source_hash([*files, here, *(here.parents[1] / "pipeline" / "recording").glob("*.py")])
+
+
+def _getter(frames_of: Callable[[Episode], Frames] | Mapping[str, Frames]) -> Callable[[Episode], Frames]:
+    def get(episode: Episode) -> Frames:
+        try:
+            return frames_of(episode) if callable(frames_of) else frames_of[episode.id]
+        except KeyError as error:
+            raise DatasetError(f"the frames of episode {episode.id} are missing", where=f"episode {episode.id}",
+                               mend="hand over the shard that its blob names") from error
+    return get
+
+
+def _filtered(episodes: Sequence[Episode], recipe: Recipe, consents: Collection[str]) -> list[Episode]:
+    config = recipe.dataset
+    for source in config.sources:
+        if source not in ORIGINS:
+            raise ConfigError(f"unknown source {source!r}", where="recipe: dataset.sources",
+                              mend=f"use one of: {', '.join(sorted(ORIGINS))}")
+    chosen: list[Episode] = []
+    for episode in episodes:
+        rejected_stay = recipe.augment.keep_rejected and episode.origin in VARIANTS
+        wanted = not config.only_success or episode.outcome.label == "success" or rejected_stay
+        if episode.origin in config.sources and wanted:
+            chosen.append(_usable(episode, consents))
+    if len({e.id for e in chosen}) < len(chosen):
+        twice = next(e.id for k, e in enumerate(chosen) if e.id in {c.id for c in chosen[:k]})
+        raise DatasetError("an episode is there twice", where=f"episode {twice}", mend="hand over each episode once")
+    if not chosen:
+        raise DatasetError(f"none of {len(episodes)} episodes passes the filter", where=f"recipe {recipe.name}",
+                           mend="widen dataset.sources, set dataset.only_success: false, or collect more: "
+                                "hardcase collect")
+    return chosen
+
+
+def _usable(episode: Episode, consents: Collection[str]) -> Episode:
+    where = f"episode {episode.id}"
+    simulated = episode.consent == "simulated" and episode.origin != "teleop"
+    if not simulated and episode.consent not in consents:
+        raise DatasetError(f"episode {episode.id} has no consent record; it cannot be used for training",
+                           where=where, mend="record the person's consent, or drop the episode")
+    if episode.blob is None:
+        raise DatasetError(f"episode {episode.id} has no recording", where=where,
+                           mend="store its recording or shard first, or drop the episode")
+    return episode
+
+
+def _in_order(episodes: list[Episode], parent: DatasetVersion | None) -> list[Episode]:
+    by_id = {e.id: e for e in episodes}
+    first = [by_id.pop(i) for i in (parent.episodes if parent else ()) if i in by_id]
+    return first + list(by_id.values())
+
+
+def _common(episodes: Sequence[Episode]) -> tuple[int, str]:
+    first = episodes[0]
+    for episode in episodes:
+        if (episode.control_hz, episode.scene.robot) != (first.control_hz, first.scene.robot):
+            raise DatasetError(f"{episode.scene.robot!r} at {episode.control_hz:g} Hz beside {first.scene.robot!r} at "
+                               f"{first.control_hz:g} Hz", where=f"episode {episode.id}",
+                               mend="build one version for each robot and rate")
+    if first.control_hz != int(first.control_hz):
+        raise DatasetError(f"{first.control_hz:g} Hz is not a whole number, as LeRobot asks",
+                           where=f"episode {first.id}", mend="record at a whole rate, such as 20 Hz")
+    return int(first.control_hz), first.scene.robot
+
+
+def _parent_decisions(store: Path, parent: DatasetVersion) -> split.Decided:
+    folder = store / parent.path
+    if load_version(folder).digest != parent.digest:
+        raise DatasetError(f"version {parent.id} does not hold the bytes it was catalogued with", where=folder,
+                           mend=f"remove the folder and build it again: rm -r {folder} && hardcase build")
+    known = manifest.read_manifest(folder)["lineages"]
+    held = frozenset((*parent.held_out, *known["held_out"]))
+    return split.Decided(held, frozenset((*parent.episodes, *known["train"])) - held)
+
+
+def _rows(chosen: Sequence[Episode], everything: Sequence[Episode], recipe: Recipe, task: str,
+          decided: split.Decided) -> tuple[list[Row], frozenset[str], dict[str, float]]:
+    every = split.lineages(everything)
+    roots = {e.id: every[e.id] for e in chosen}
+    held = split.held_out(roots, recipe.dataset.held_out, decided)
+    train = [e for e in chosen if roots[e.id] not in held]
+    group = split.groups(chosen, {e.id: e for e in everything})
+    weights = split.shares(recipe.dataset.weights, {group[e.id] for e in train})
+    chance = split.chances(train, group, weights)
+    rows = [Row(e, task, roots[e.id], "train" if e.id in chance else "held_out", group[e.id], chance.get(e.id, 0.0))
+            for e in chosen]
+    return rows, held, weights
