@@ -1,0 +1,176 @@
+"""The store: what every stage reads from and commits to."""
+
+from collections.abc import Generator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Self
+
+from pipeline.errors import StoreError
+from pipeline.files import sha256_file
+from pipeline.store import lease as leases
+from pipeline.store.blobs import Blobs
+from pipeline.store.catalog import Catalog
+from pipeline.store.folder import (
+    RESERVE_MB,
+    FaultPoint,
+    check_id,
+    explain,
+    inside,
+    is_full,
+    no_fault,
+    refuse_low_space,
+    refuse_network,
+)
+from pipeline.store.lease import Lease
+from pipeline.store.process import Holder
+from pipeline.store.reader import Reader
+from pipeline.store.transaction import Transaction
+
+
+class Store(Reader):
+    """A folder with a catalog (`catalog.db`), blobs, and the folders of dataset versions and policies.
+
+    Threads may share a store; processes each open their own. Use it in a `with`, or close it.
+    Every method raises StoreError.
+    """
+
+    def __init__(self, root: Path, *, reserve_mb: int = RESERVE_MB, fault: FaultPoint = no_fault) -> None:
+        super().__init__(Catalog(root, fault))
+        self.root, self._reserve_mb, self._fault = root, reserve_mb, fault
+        self._blobs = Blobs(root, fault)
+        self._full: StoreError | None = None
+
+    @classmethod
+    def open(
+        cls, root: Path, *, create: bool = False, reserve_mb: int = RESERVE_MB, fault: FaultPoint = no_fault
+    ) -> Self:
+        """Open a store, or make one.
+
+        Args:
+            root: its folder; see `store_root`.
+            create: make it if it is not there, and refuse a disk with less than the reserve free.
+            reserve_mb: space to keep free [MB]; a loop that takes the lease is refused below it.
+            fault: for tests of crashes.
+
+        Raises:
+            StoreError: no store there, a network file system, a folder that cannot be written, too little space,
+                another program's or a newer Hardcase's catalog.
+        """
+        try:
+            if create:
+                root.mkdir(parents=True, exist_ok=True)
+            elif not (root / "catalog.db").is_file():
+                raise StoreError(
+                    "there is no store here",
+                    where=root,
+                    mend="begin one with `hardcase loop`, or name it: HARDCASE_STORE=/its/folder",
+                )
+            refuse_network(root)
+            if create:
+                refuse_low_space(root, reserve_mb)
+            for name in ("blobs", "tmp", "versions", "policies"):
+                (root / name).mkdir(exist_ok=True)
+        except OSError as error:
+            raise explain(error, root) from error
+        return cls(root, reserve_mb=reserve_mb, fault=fault)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the catalog."""
+        self._catalog.close()
+
+    @property
+    def tmp(self) -> Path:
+        """Where to build what is then moved in whole; what stays there, gc takes away."""
+        return self.root / "tmp"
+
+    def path(self, relative: str) -> Path:
+        """The place of a stored relative path, such as that of a version; refused outside the store."""
+        return inside(self.root, relative)
+
+    @contextmanager
+    def lease(self, run: str, *, holder: str | None = None, term_s: float = leases.TERM_S) -> Generator[Lease]:
+        """Be the one loop of this store while the body runs.
+
+        Args:
+            run: id of the run.
+            holder: the command that a refused second loop is told; default: this process's command line.
+            term_s: silence after which another loop may take over [s].
+
+        Raises:
+            StoreError: another loop runs (named in the error), or less than the reserve is free.
+        """
+        refuse_low_space(self.root, self._reserve_mb)
+        lease = leases.take(self._catalog, check_id("run", run), holder, term_s)
+        try:
+            with leases.heartbeat(lambda: Catalog(self.root), lease):
+                yield lease
+        finally:
+            with suppress(StoreError):  # a full disk: our death frees it as well, and the body's own error says more
+                leases.give_back(self._catalog, lease)
+
+    def holder(self) -> Holder | None:
+        """Who runs a loop on this store now."""
+        return leases.holder(self._catalog)
+
+    @contextmanager
+    def commit(self, lease: Lease, run: str | None = None) -> Generator[Transaction]:
+        """One transaction for the writes of one step; all of them last once this returns, none when it raises.
+
+        Keep the body short, it holds the write lock: compute first, then commit.
+
+        Args:
+            lease: from `lease`; a stale one is refused.
+            run: whose rows these are, where a control arm runs under the lease of its loop.
+        """
+        if self._full:
+            raise self._full
+        with self._latch(), self._catalog.write() as db:
+            leases.renew(db, lease)
+            tx = Transaction(db, self.root, self._blobs, run or lease.run, self._fault)
+            yield tx
+            try:
+                tx.settle()
+            except OSError as error:
+                raise explain(error, self.root) from error
+
+    def put_blob(self, source: bytes | Path, *, move: bool = False) -> str:
+        """Store bytes, or a file (`move`: take the file itself), and name them by their sha256."""
+        with self._latch():
+            return self._blobs.put(source, move=move)
+
+    @contextmanager
+    def _latch(self) -> Generator[None]:
+        """A write that failed for want of space ends this store's commits: no step with a hole is ever finished."""
+        try:
+            yield
+        except StoreError as error:
+            if isinstance(error.__cause__, OSError) and is_full(error.__cause__):
+                self._full = error
+            raise
+
+    def blob(self, sha: str) -> Path:
+        """The read-only file of a blob."""
+        return self._blobs.get(sha)
+
+    def verify(self) -> list[StoreError]:
+        """Read every blob and policy file that the catalog speaks of; one error for each that changed."""
+        damage: list[StoreError] = []
+        for (sha,) in self.query("SELECT blob FROM episode WHERE blob NOT NULL UNION SELECT blob FROM version_input"):
+            try:
+                self._blobs.verify(str(sha))
+            except StoreError as error:
+                damage.append(error)
+        for policy in self.policies():
+            for name, sha in policy.files.items():
+                file = self.path(policy.checkpoint) / name
+                if not file.is_file() or sha256_file(file) != sha:
+                    damage.append(
+                        StoreError(f"policy {policy.id} is damaged", where=file, mend="train it again in another store")
+                    )
+        return damage
