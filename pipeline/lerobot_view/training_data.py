@@ -1,8 +1,8 @@
 """Training data in memory: a version's arrays, and batches gathered from them by index."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -12,6 +12,7 @@ from pipeline.arrow import pa, to_rows
 from pipeline.frames import FEATURES
 from pipeline.lerobot_view.layout import EPISODES, INTERVENTION, data_file
 from pipeline.lerobot_view.manifest import load_version
+from pipeline.lerobot_view.split import GROUPS
 
 type Rows = NDArray[np.intp]
 
@@ -30,12 +31,8 @@ class Batch(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class TrainingData:
-    """One version in memory. A sample starts at a frame that teaches and ends with its run of such frames.
-
-    Of an episode with an intervention only the intervention teaches: what the policy did before led to
-    the failure. Of any other episode every frame teaches.
-    """
+class Samples:
+    """Frames in memory that batches are drawn from; one side of the split."""
 
     state: NDArray[np.float32]
     """Every frame of the version, shape (n, 16)."""
@@ -43,43 +40,12 @@ class TrainingData:
     """Shape (n, 7)."""
     action: NDArray[np.float32]
     """Shape (n, 5)."""
-    starts: Rows
-    """First row of each episode, shape (episodes,)."""
-    stops: Rows
-    """Row after the last of each episode, shape (episodes,)."""
     last: Rows
-    """For every frame that teaches, the last row of its run, shape (n,)."""
-    train: MappingProxyType[str, Rows]
-    """Group -> rows that may start a training sample."""
-    weights: MappingProxyType[str, float]
+    """For every frame that teaches, the last row of its run; -1 for the others, shape (n,)."""
+    rows: Mapping[str, Rows]
+    """Group -> rows that may start a sample, at least one each."""
+    weights: Mapping[str, float]
     """Group -> share of each batch; the shares add up to 1."""
-    held_out_rows: Rows
-    """Rows that may start a sample of the validation split; may be empty."""
-
-    @classmethod
-    def load(cls, folder: Path) -> Self:
-        """Read a version folder without lerobot or torch.
-
-        Raises:
-            DatasetError: the folder is no version, or was changed after it was built.
-        """
-        version = load_version(folder)
-        episodes = pa.parquet.read_table(folder / EPISODES, use_threads=False, columns=[
-            "dataset_from_index", "dataset_to_index", "split", "group"])
-        starts, stops = (episodes.column(n).to_numpy() for n in ("dataset_from_index", "dataset_to_index"))
-        state, environment, action, intervention = _read(folder)
-        teaches, last = _runs(starts, stops, intervention)
-        lengths = stops - starts
-        train = np.repeat(np.array(episodes.column("split").to_pylist()) == "train", lengths)
-        group = np.repeat(np.array(episodes.column("group").to_pylist()), lengths)
-        rows = {name: np.flatnonzero(train & teaches & (group == name)) for name in version.weights}
-        return cls(state, environment, action, starts, stops, last, MappingProxyType(rows),
-                   MappingProxyType(dict(version.weights)), np.flatnonzero(~train & teaches))
-
-    @property
-    def training_rows(self) -> Rows:
-        """Every row that may start a training sample, in order: what normalisers are fitted on."""
-        return np.sort(np.concatenate(list(self.train.values())))
 
     def sample(self, rng: np.random.Generator, batch: int, chunk: int) -> Batch:
         """Draw a batch: the groups by their shares, the frames of a group evenly, with replacement.
@@ -97,12 +63,12 @@ class TrainingData:
         if rest := batch - int(counts.sum()):
             part = np.maximum(exact - counts, 0)
             counts += rng.multinomial(rest, part / part.sum())
-        picks = [rows[rng.integers(rows.size, size=n)] for rows, n in zip(self.train.values(), counts, strict=True)]
+        picks = [rows[rng.integers(rows.size, size=n)] for rows, n in zip(self.rows.values(), counts, strict=True)]
         return self.gather(np.concatenate(picks), chunk)
 
-    def held_out(self, chunk: int) -> Batch:
-        """Every sample of the validation split, in order."""
-        return self.gather(self.held_out_rows, chunk)
+    def everything(self, chunk: int) -> Batch:
+        """Every sample of this side of the split, once and in order."""
+        return self.gather(np.sort(np.concatenate(list(self.rows.values()))), chunk)
 
     def gather(self, rows: Rows, chunk: int) -> Batch:
         """The samples that start at these rows."""
@@ -112,14 +78,62 @@ class TrainingData:
                      self.action.take(np.minimum(wanted, last), axis=0), wanted <= last)
 
 
-def _read(folder: Path) -> tuple[NDArray[Any], ...]:
+@dataclass(frozen=True, slots=True)
+class TrainingData(Samples):
+    """One version in memory: the training split, and beside it the validation split.
+
+    A sample starts at a frame that teaches and ends with its run of such frames. Of an episode with an
+    intervention only the intervention teaches, because what the policy did before led to the failure;
+    of any other episode every frame teaches.
+    """
+
+    held_out: Samples | None
+    """The validation split; None if nothing is held out."""
+    starts: Rows
+    """First row of each episode, shape (episodes,)."""
+    stops: Rows
+    """Row after the last of each episode, shape (episodes,)."""
+
+    @classmethod
+    def load(cls, folder: Path) -> Self:
+        """Read a version folder without lerobot or torch.
+
+        Raises:
+            DatasetError: the folder is no version, or was changed after it was built.
+        """
+        version = load_version(folder)
+        episodes = pa.parquet.read_table(folder / EPISODES, use_threads=False, columns=[
+            "dataset_from_index", "dataset_to_index", "split", "group"])
+        starts, stops = (episodes.column(n).to_numpy() for n in ("dataset_from_index", "dataset_to_index"))
+        state, environment, action, intervention = _read(folder)
+        teaches, last = _runs(starts, stops, intervention)
+        lengths = stops - starts
+        train = np.repeat(np.array(episodes.column("split").to_pylist()) == "train", lengths)
+        group = np.repeat(np.array(episodes.column("group").to_pylist()), lengths)
+
+        def side(mask: NDArray[np.bool_]) -> dict[str, Rows]:
+            found = {name: np.flatnonzero(mask & teaches & (group == name)) for name in GROUPS}
+            return {name: rows for name, rows in found.items() if rows.size}
+
+        learn, check = side(train), side(~train)
+        # a group that is held out whole weighs what an average group does
+        weight = {name: version.weights.get(name, 1 / len(GROUPS)) for name in check}
+        total = sum(weight.values())
+        held_out = Samples(state, environment, action, last, check,
+                           {name: w / total for name, w in weight.items()}) if check else None
+        weights = {name: version.weights[name] for name in learn}
+        return cls(state, environment, action, last, learn, weights, held_out, starts, stops)
+
+
+def _read(folder: Path) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:
     names = ("observation.state", "observation.environment_state", "action")
     widths = {**{name: len(FEATURES[name]) for name in names}, INTERVENTION: 1}
     tables: list[Any] = []
     while (path := folder / data_file(len(tables))).exists():
         tables.append(pa.parquet.read_table(path, columns=[*widths], use_threads=False, partitioning=None))
     table = pa.concat_tables(tables)
-    return tuple(to_rows(table.column(name), width) for name, width in widths.items())
+    state, environment, action, intervention = (to_rows(table.column(n), width) for n, width in widths.items())
+    return state, environment, action, intervention
 
 
 def _runs(starts: Rows, stops: Rows, intervention: NDArray[np.int64]) -> tuple[NDArray[np.bool_], Rows]:
