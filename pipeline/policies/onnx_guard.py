@@ -1,0 +1,134 @@
+"""What an ONNX file must be before it is loaded: known operators, no outside data, the robot's shapes.
+
+A model file is somebody's input. Nothing here runs the model; only a file that passes is handed to
+ONNX Runtime, as the very bytes that were checked.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+from google.protobuf.message import DecodeError
+from onnx import numpy_helper, shape_inference
+
+from pipeline.errors import PolicyError
+from pipeline.frames import ACTION, ENVIRONMENT, STATE
+
+OPERATORS = frozenset({"Add", "Concat", "Cos", "Div", "Gelu", "Gemm", "LayerNormalization", "MatMul", "Mul", "Relu",
+                       "Reshape", "Sin", "Slice", "Split", "Sub", "Tanh"})
+"""All of them arithmetic on tensors: none reads files, loops, branches or holds a graph of its own."""
+
+MAX_BYTES, MAX_NODES, MAX_VALUES = 64 << 20, 1000, 1 << 20
+"""Limits of the file, of the graph, and of the values an attempt may take in any intermediate result."""
+
+MAX_CHUNK = 1024
+
+EXPORT = "export the policy again: hardcase train"
+PICKLE = "pickle is never loaded; export safetensors or ONNX"
+PICKLE_STARTS = (b"PK\x03\x04", b"PK\x05\x06", b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05", b"(lp", b"(dp",
+                 b"\x93NUMPY")
+"""Zip (torch.save, joblib, npz), pickle protocols 2 to 5 and 0, and npy, which may hold a pickle."""
+PICKLE_NAMES = frozenset({".pt", ".pth", ".pkl", ".pickle", ".joblib", ".ckpt", ".bin", ".npy", ".npz"})
+
+
+def checked_model(path: Path) -> tuple[bytes, int, dict[str, str]]:
+    """Read an ONNX file and refuse it unless it is a policy of ours in everything that could do harm.
+
+    Returns:
+        The bytes to load, the length of its chunks, and its metadata.
+
+    Raises:
+        PolicyError: what is wrong with the file, and the mend.
+    """
+    data = _read(path)
+    try:
+        model = onnx.load_model_from_string(data)
+    except DecodeError as error:
+        raise PolicyError("not an ONNX file", where=path, mend=EXPORT) from error
+    _check_operators(model, path)
+    _check_constants(model, path)
+    chunk = _check_shapes(model, path)
+    return data, chunk, {entry.key: entry.value for entry in model.metadata_props}
+
+
+def _read(path: Path) -> bytes:
+    try:
+        with path.open("rb") as stream:
+            data = stream.read(MAX_BYTES + 1)
+    except OSError as error:
+        raise PolicyError(f"policy file cannot be read: {error.strerror}", where=path, mend=EXPORT) from error
+    if path.suffix.lower() in PICKLE_NAMES or data.startswith(PICKLE_STARTS):
+        raise PolicyError("pickle where a model is expected", where=path, mend=PICKLE)
+    if len(data) > MAX_BYTES:
+        raise PolicyError(f"larger than {MAX_BYTES} B", where=path, mend="a policy of this kind is under 1 MB; " + EXPORT)
+    if data[8:9] == b"{" and int.from_bytes(data[:8], "little") < len(data):
+        raise PolicyError("a safetensors file where an ONNX file is expected", where=path,
+                          mend="use the policy.onnx beside it")
+    return data
+
+
+def _check_operators(model: onnx.ModelProto, path: Path) -> None:
+    domains = {opset.domain for opset in model.opset_import} | {node.domain for node in model.graph.node}
+    if foreign := domains - {"", "ai.onnx"}:
+        raise PolicyError(f"operator domain {min(foreign)!r} is not allowed", where=path, mend=EXPORT)
+    if unknown := {node.op_type for node in model.graph.node} - OPERATORS:
+        raise PolicyError(f"operator {min(unknown)!r} is not allowed", where=path,
+                          mend=f"{EXPORT}; allowed are {', '.join(sorted(OPERATORS))}")
+    if len(model.graph.node) > MAX_NODES or model.functions or model.training_info:
+        raise PolicyError(f"{len(model.graph.node)} nodes, {len(model.functions)} functions of its own", where=path,
+                          mend=f"{EXPORT}; at most {MAX_NODES} nodes and no functions are allowed")
+
+
+def _check_constants(model: onnx.ModelProto, path: Path) -> None:
+    attributes = [a for node in model.graph.node for a in node.attribute]
+    if model.graph.sparse_initializer or any(a.HasField("t") or a.tensors or a.HasField("sparse_tensor")
+                                             or a.HasField("g") or a.graphs for a in attributes):
+        raise PolicyError("constants outside the list of initializers", where=path, mend=EXPORT)
+    for constant in model.graph.initializer:
+        if constant.external_data or constant.data_location != onnx.TensorProto.DEFAULT:
+            raise PolicyError(f"constant {constant.name!r} lies in another file", where=path,
+                              mend="save the model as one file; data outside it is never read")
+        try:
+            values: np.ndarray[Any, Any] = numpy_helper.to_array(constant)
+        except (ValueError, TypeError) as error:
+            raise PolicyError(f"constant {constant.name!r} is damaged", where=path, mend=EXPORT) from error
+        if values.dtype not in (np.float32, np.int64) or not np.isfinite(values).all():
+            raise PolicyError(f"constant {constant.name!r} is {values.dtype} or not finite", where=path,
+                              mend="train again: the weights must be finite float32")
+
+
+def _sizes(value: onnx.ValueInfoProto) -> tuple[int, ...] | None:
+    """Sizes of a float32 tensor, 0 where not fixed; None for anything else."""
+    kind = value.type.tensor_type
+    if kind.elem_type != onnx.TensorProto.FLOAT or not kind.HasField("shape"):
+        return None
+    return tuple(d.dim_value if d.HasField("dim_value") else 0 for d in kind.shape.dim)
+
+
+def _check_shapes(model: onnx.ModelProto, path: Path) -> int:
+    """Check inputs, output and every intermediate result; return the length of the chunks."""
+    inputs = {value.name: _sizes(value) for value in model.graph.input}
+    outputs = {value.name: _sizes(value) for value in model.graph.output}
+    expected = {"state": (0, len(STATE)), "environment": (0, len(ENVIRONMENT))}
+    if inputs != expected:
+        raise PolicyError(f"inputs {inputs}, the robot gives {expected} (0: any number of attempts)", where=path,
+                          mend="train on a dataset version of this robot")
+    out = outputs.get("chunk")
+    if len(outputs) != 1 or out is None or len(out) != 3 or out[0] != 0 or out[2] != len(ACTION) \
+            or not 1 <= out[1] <= MAX_CHUNK:
+        raise PolicyError(f"outputs {outputs}, the robot takes 'chunk' (0, chunk, {len(ACTION)})", where=path,
+                          mend="train on a dataset version of this robot")
+    try:
+        inferred = shape_inference.infer_shapes(model, check_type=True, strict_mode=True, data_prop=True)
+    except Exception as error:  # onnx raises its own types from C++, none of them public
+        raise PolicyError("shapes do not fit together", where=path, mend=EXPORT) from error
+    for value in (*inferred.graph.value_info, *inferred.graph.output):
+        sizes = _sizes(value)
+        if sizes is None or np.prod([float(max(1, size)) for size in sizes]) > MAX_VALUES:
+            raise PolicyError(f"intermediate result {value.name!r} of sizes {sizes}", where=path,
+                              mend=f"{EXPORT}; at most {MAX_VALUES} float32 values an attempt are allowed")
+    if {value.name for value in inferred.graph.value_info} | set(outputs) != {
+            name for node in model.graph.node for name in node.output if name}:
+        raise PolicyError("an intermediate result has no known shape", where=path, mend=EXPORT)
+    return out[1]

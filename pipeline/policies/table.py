@@ -1,0 +1,52 @@
+"""POLICIES: every kind of policy that a recipe may name."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Protocol
+
+from pipeline.errors import unknown
+from pipeline.policies.checkpoint import write_checkpoint
+from pipeline.policies.export import export_onnx
+from pipeline.policies.training import Fitted, TrainingSource, fit
+from schemas.recipe import TrainConfig
+
+
+class Fit(Protocol):
+    """See pipeline.policies.training.fit."""
+
+    def __call__(self, data: TrainingSource, config: TrainConfig, seed: int, *, resume_from: Path | None,
+                 checkpoints: Path | None, progress: Callable[[int, int, float], None] | None) -> Fitted:
+        """Train; the same arguments give the same weights."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class PolicyKind:
+    """How one kind of policy is trained and written."""
+
+    fit: Fit
+    write: Callable[[Path, Fitted, TrainConfig], None]
+    """Writes the lerobot checkpoint into a folder."""
+    export: Callable[[Fitted, Path], float]
+    """Writes the ONNX file; returns its largest difference to PyTorch in action units."""
+    sources: tuple[str, ...]
+    """Files of pipeline/policies that decide what is learnt: the training code that a policy id hashes."""
+
+
+POLICIES: Mapping[str, PolicyKind] = MappingProxyType({
+    "chunked": PolicyKind(fit, write_checkpoint, export_onnx, (
+        "checkpoint.py", "ensembling.py", "export.py", "features.py", "network.py", "optimiser.py", "training.py")),
+})
+
+
+def policy_kind(name: str) -> PolicyKind:
+    """The kind of that name.
+
+    Raises:
+        ConfigError: there is none; the message lists every name there is.
+    """
+    if name not in POLICIES:
+        raise unknown("policy", name, POLICIES)
+    return POLICIES[name]
