@@ -1,0 +1,106 @@
+"""What an episode says on every topic: fixed-length messages as columns, the few others one by one."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import RecordingError
+from pipeline.frames import ACTION, ENVIRONMENT, STATE
+from pipeline.recording import cdr
+from pipeline.recording.dialect import JOINT_NAMES, stamp_ns
+from pipeline.trace import Rows, Trace
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One topic with one message a tick, all of one length."""
+
+    topic: str
+    layout: cdr.Layout
+    values: tuple[Rows, ...]
+    """One array (m, count) for every run of float64 in the layout."""
+
+
+@dataclass(frozen=True, slots=True)
+class Single:
+    """One message of any length; it goes before the columns of its tick."""
+
+    topic: str
+    tick: int
+    payload: bytes
+
+
+def columns(trace: Trace) -> Iterator[Column]:
+    """Every topic that speaks once a tick, in the order of its channels."""
+    state, environment = trace.state, trace.environment
+    joints = cdr.joint_state(JOINT_NAMES, velocity=True, effort=True)
+    targets = cdr.joint_state(JOINT_NAMES, velocity=False, effort=False)
+    yield Column("/joint_states", joints, (state[:, :7], trace.joint_velocity, trace.joint_effort))
+    yield _array("/ee/measured", " ".join(STATE[7:11]), state[:, 7:11])
+    yield _array("/ee/commanded", " ".join(STATE[11:]), state[:, 11:])
+    yield _array("/observation/environment", " ".join(ENVIRONMENT), environment)
+    yield _array("/command/ee", " ".join(ACTION), trace.action)
+    yield Column("/joint_commands", targets, (trace.joint_action,))
+    yield Column("/observation/object", cdr.pose_stamped(), (_pose(environment[:, :3], environment[:, 3]),))
+    yield Column("/observation/target", cdr.pose_stamped(), (_pose(environment[:, 4:], np.zeros(len(trace))),))
+    if trace.links:
+        wxyz_last = trace.link_poses[:, :, [0, 1, 2, 4, 5, 6, 3]]
+        yield Column("/tf", cdr.tf_message(trace.links), tuple(wxyz_last[:, k] for k in range(len(trace.links))))
+    for term, values in trace.reward.items():
+        yield Column(f"/reward/{term}", cdr.float64(), (values[:, None],))
+    for policy, shadow in trace.shadows.items():
+        yield Column(f"/policy/{policy}/joint_commands", targets, (shadow.joint_commands,))
+        yield Column(f"/policy/{policy}/disagreement", cdr.float64(), (shadow.disagreement[:, None],))
+    yield _array("/sim/state", "mjSTATE_INTEGRATION", trace.sim_state)
+    yield _array("/sim/controller", "controller", trace.controller)
+
+
+def singles(trace: Trace, urdf: bytes | None) -> list[Single]:
+    """The robot's description first, then phases where they change and events, in time order."""
+    found: list[Single] = []
+    for tick, (last, phase) in enumerate(zip((None, *trace.phase), trace.phase, strict=False)):
+        if phase != last:
+            found.append(Single("/task/phase", tick, cdr.text(phase)))
+    for event in trace.events:
+        payload = cdr.log(stamp_ns(event.tick, trace.hz), event.level, event.name, event.text)
+        found.append(Single("/events", event.tick, payload))
+    found.sort(key=lambda single: single.tick)
+    description = [Single("/robot_description", 0, cdr.text(urdf.decode()))] if urdf is not None else []
+    return description + found
+
+
+def check_trace(trace: Trace, where: object) -> None:
+    """Raise RecordingError naming the first array whose shape is not what Trace promises."""
+    m = len(trace)
+    expected = {"state": (m, 16), "environment": (m, 7), "action": (m, 5), "joint_action": (m, 7),
+                "joint_velocity": (m, 7), "joint_effort": (m, 7), "link_poses": (m, len(trace.links), 7),
+                "sim_state": (m, *trace.sim_state.shape[1:2]), "controller": (m, *trace.controller.shape[1:2])}
+    found = {name: getattr(trace, name).shape for name in expected} | {"phase": (len(trace.phase),)}
+    expected["phase"] = (m,)
+    for term, values in trace.reward.items():
+        found[f"reward[{term}]"], expected[f"reward[{term}]"] = values.shape, (m,)
+    for policy, shadow in trace.shadows.items():
+        found[f"shadows[{policy}].joint_commands"], expected[f"shadows[{policy}].joint_commands"] = (
+            shadow.joint_commands.shape, (m, 7))
+        found[f"shadows[{policy}].disagreement"], expected[f"shadows[{policy}].disagreement"] = (
+            shadow.disagreement.shape, (m,))
+    for name, shape in expected.items():
+        if found[name] != shape:
+            raise RecordingError(f"trace.{name} has shape {found[name]}, a trace of {m} ticks needs {shape}",
+                                 where=where, mend="record one row a tick, in the order of pipeline.frames")
+    for event in trace.events:
+        if not (0 <= event.tick <= m and 0 <= event.level <= 255):
+            raise RecordingError(f"event {event.name!r} has tick {event.tick} and level {event.level}",
+                                 where=where, mend=f"use a tick of 0..{m} and a level of rcl_interfaces/msg/Log")
+
+
+def _array(topic: str, label: str, values: Rows) -> Column:
+    return Column(topic, cdr.multi_array(label, values.shape[1]), (values,) if values.shape[1] else ())
+
+
+def _pose(xyz: Rows, yaw: NDArray[np.float64]) -> Rows:
+    """x, y, z and the quaternion x, y, z, w of a turn by yaw about z."""
+    nothing = np.zeros_like(yaw)
+    return np.column_stack([xyz, nothing, nothing, np.sin(yaw / 2), np.cos(yaw / 2)])

@@ -1,0 +1,48 @@
+"""The metadata record `episode`: who, what and how it ended, as strings any MCAP tool shows."""
+
+from collections.abc import Mapping
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+
+from pipeline.recording.dialect import SCHEMA_VERSION
+from schemas.episode import Episode
+
+NAME = "episode"
+
+
+def episode_metadata(episode: Episode, *, software: Mapping[str, str], truncated: bool) -> dict[str, str]:
+    """Strings of the record; `episode_json` holds the whole Episode without its blob, the file's own hash."""
+    scene, outcome = episode.scene, episode.outcome
+    people = [s.actor for s in episode.segments if s.kind != "autonomous"]
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "episode": episode.id,
+        "origin": episode.origin,
+        "robot": scene.robot,
+        "scene": scene.scene,
+        "task": scene.task,
+        "operator": people[0] if people else "none",
+        "consent": episode.consent,
+        "outcome": outcome.label,
+        "reason": outcome.reason or "",
+        "family": scene.family,
+        "stratum": scene.stratum,
+        "seed": str(scene.seed),
+        "twin": "" if scene.twin is None else str(scene.twin),
+        "generation": str(episode.generation),
+        "control_hz": str(episode.control_hz),
+        "frames": str(episode.frames),
+        "truncated": str(truncated).lower(),
+        "software_commit": "unknown",
+        "simulator_version": _simulator(),
+        **software,
+        "episode_json": episode.model_copy(update={"blob": None}).model_dump_json(),
+    }
+
+
+@cache
+def _simulator() -> str:
+    try:
+        return f"mujoco {version('mujoco')}"
+    except PackageNotFoundError:
+        return "unknown"

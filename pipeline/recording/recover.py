@@ -1,0 +1,81 @@
+"""What a killed writer left: kept as far as whole, or set aside with the reason."""
+
+import fcntl
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from pipeline.errors import RecordingError
+from pipeline.files import atomic, sync_folder
+from pipeline.recording.read import open_recording
+from pipeline.recording.scan import reading
+from pipeline.recording.write import Recording, encode, named
+
+QUARANTINE = "quarantine"
+
+
+@dataclass(frozen=True, slots=True)
+class Recovered:
+    """What became of one leftover .part."""
+
+    part: Path
+    kept: Path | None
+    """The recording made of it; None where it was quarantined."""
+    frames: int
+    """Whole ticks that were kept."""
+    reason: str
+    """Why it is shorter than it was, or why it was quarantined; empty where nothing is missing."""
+
+
+def recover(folder: Path) -> list[Recovered]:
+    """Deal with every leftover NAME.mcap.part below `folder`; call it at start-up.
+
+    A file that only missed its rename gets its name. One that ends early is written again as a valid file
+    with its whole ticks, outcome 'unknown' and `truncated` in its metadata. Anything else goes to the folder
+    quarantine/ beside it, with NAME.mcap.part.reason.txt. A .part that a living process writes is left alone.
+
+    Raises:
+        RecordingError: the disk is full or refuses.
+    """
+    return [done for part in sorted(folder.rglob("*.mcap.part")) if QUARANTINE not in part.parts
+            and (done := _recover_one(part))]
+
+
+def _recover_one(part: Path) -> Recovered | None:
+    final = part.with_name(part.name.removesuffix(".part"))
+    with part.open("rb") as stream, reading(part, "leftover recording"):
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return None
+        if final.exists():
+            return _quarantine(part, f"{final.name} is already there, whole")
+        try:
+            opened = open_recording(part, accept_truncated=True)
+            if opened.lost is None:
+                os.fsync(stream.fileno())
+                part.replace(final)
+                sync_folder(final.parent)
+                return Recovered(part, final, opened.episode.frames, "")
+            trace = opened.decoder.trace()
+        except RecordingError as error:
+            return _quarantine(part, error.what)
+        item = Recording(final, opened.episode, trace, opened.attachments, _software(opened.strings), truncated=True)
+        with named(final), atomic(final) as whole:
+            whole.writelines(encode(item).pieces)
+        part.unlink()  # only now: a kill before this line leaves both, and the next start sets the rest aside
+    return Recovered(part, final, opened.episode.frames, opened.lost)
+
+
+def _software(strings: Mapping[str, str]) -> dict[str, str]:
+    return {key: strings[key] for key in ("software_commit", "simulator_version") if key in strings}
+
+
+def _quarantine(part: Path, reason: str) -> Recovered:
+    """Move a .part aside, its reason beside it."""
+    folder = part.parent / QUARANTINE
+    folder.mkdir(exist_ok=True)
+    (folder / f"{part.name}.reason.txt").write_text(reason + "\n")
+    part.replace(folder / part.name)
+    return Recovered(part, None, 0, reason)
