@@ -4,17 +4,19 @@ from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 
+from pipeline.files import sha256
+from pipeline.recording import records
 from pipeline.recording.dialect import SCHEMA_VERSION
 from schemas.episode import Episode
 
-NAME = "episode"
+NAME, SEAL = "episode", "sha256"
 
 
 def episode_metadata(episode: Episode, *, software: Mapping[str, str], truncated: bool) -> dict[str, str]:
     """Strings of the record; `episode_json` holds the whole Episode without its blob, the file's own hash."""
     scene, outcome = episode.scene, episode.outcome
     people = [s.actor for s in episode.segments if s.kind != "autonomous"]
-    return {
+    values = {
         "schema_version": SCHEMA_VERSION,
         "episode": episode.id,
         "origin": episode.origin,
@@ -38,6 +40,12 @@ def episode_metadata(episode: Episode, *, software: Mapping[str, str], truncated
         **software,
         "episode_json": episode.model_copy(update={"blob": None}).model_dump_json(),
     }
+    return {**values, SEAL: seal(values)}
+
+
+def seal(values: Mapping[str, str]) -> str:
+    """sha256 over the strings: in a file cut short, no CRC of the data section covers them."""
+    return sha256(records.pairs({key: text for key, text in values.items() if key != SEAL}))
 
 
 @cache

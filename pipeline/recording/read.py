@@ -2,6 +2,7 @@
 
 import logging
 import struct
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -119,6 +120,8 @@ def _strings(found: Scan, path: Path) -> dict[str, str]:
                 while at < min(end, stop):
                     key, at = _text(found.data, at, stop)
                     values[key], at = _text(found.data, at, stop)
+                if metadata.SEAL in values and values[metadata.SEAL] != metadata.seal(values):
+                    raise ValueError("sha256 mismatch")
                 return values
     raise refuse("no metadata record 'episode'", path,
                  "record with pipeline.recording, or bring the file in as a foreign log")
@@ -133,6 +136,8 @@ def _attachments(found: Scan) -> dict[str, bytes]:
             (size,) = struct.unpack_from("<Q", found.data, at)
             if at + 8 + size + 4 != stop:
                 raise ValueError(f"{size} B do not fit its record")
+            if zlib.crc32(memoryview(found.data)[start : stop - 4]) != struct.unpack_from("<I", found.data, stop - 4)[0]:
+                raise ValueError("CRC mismatch")
             files[name] = found.data[at + 8 : stop - 4]
     return files
 

@@ -1,0 +1,131 @@
+"""Episodes and traces of any length, and files that are changed with the mcap library's own tools."""
+
+import dataclasses
+import io
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from mcap.records import Attachment, Channel, DataEnd, Header, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader
+from mcap.writer import Writer
+
+from pipeline.recording import write_episode
+from pipeline.trace import Event, Shadow, Trace
+from schemas.episode import Episode, Outcome, Segment
+from schemas.scene import Draw, SceneSpec
+
+URDF = b'<robot name="arm"><link name="link0"/></robot>'
+ATTACHMENTS = {"scene.xml": b"<mujoco/>", "robot.urdf": URDF, "config.json": b"{}", "randomization.json": b"[]"}
+
+
+def make_trace(m: int = 60, *, seed: int = 0, nstate: int = 90, k: int = 30) -> Trace:
+    rng = np.random.default_rng(seed)
+
+    def walk(*shape: int) -> np.ndarray:
+        return np.cumsum(rng.normal(scale=0.01, size=shape), axis=0)
+
+    return Trace(
+        hz=20.0, state=walk(m, 16), environment=walk(m, 7), action=walk(m, 5), joint_action=walk(m, 7),
+        joint_velocity=walk(m, 7), joint_effort=walk(m, 7), links=("base", "link1", "wrist-cam", "object"),
+        link_poses=walk(m, 4, 7), phase=tuple("reach" if t < m // 2 else "lift" for t in range(m)),
+        reward={"reach": walk(m), "lift": walk(m)}, sim_state=walk(m, nstate), controller=walk(m, k),
+        shadows={"0123456789abcdef": Shadow(walk(m, 7), walk(m))},
+        events=(Event(m // 3, 20, "note", "it began"), Event(m - 1, 30, "stall", "kein Fortschritt für 30 Takte")))
+
+
+def make_episode(m: int = 60) -> Episode:
+    scene = SceneSpec(family="deploy", seed=7, robot="arm", scene="table", task="pick-place", stratum="rare",
+                      object_xy_m=(0.3, 0.1), object_yaw_rad=0.2, object_half_m=0.02, target_xy_m=(0.3, -0.1),
+                      draws=(Draw(name="friction", unit="1", value=0.1 + 0.2),), twin=3)
+    half = max(1, m // 2)
+    segments = [Segment(kind="autonomous", start=0, stop=half, actor="0123456789abcdef")]
+    if half < m:
+        segments.append(Segment(kind="intervention", start=half, stop=m, actor="operator-1"))
+    return Episode(id="00112233445566aa", origin="deployed", scene=scene, control_hz=20.0, frames=m,
+                   outcome=Outcome(label="failure", judged_by="sensors", trigger="stall", family="stall", tick=m - 1),
+                   segments=tuple(segments), policy="0123456789abcdef", generation=1)
+
+
+def assert_same_trace(found: Trace, expected: Trace) -> None:
+    """Bit for bit, the order of rewards and shadows included."""
+    for entry in dataclasses.fields(Trace):
+        a, b = getattr(found, entry.name), getattr(expected, entry.name)
+        if isinstance(b, np.ndarray):
+            assert a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes(), entry.name
+        elif entry.name == "reward":
+            assert [(n, v.tobytes()) for n, v in a.items()] == [(n, v.tobytes()) for n, v in b.items()]
+        elif entry.name == "shadows":
+            assert list(a) == list(b)
+            for i in b:
+                assert a[i].joint_commands.tobytes() == b[i].joint_commands.tobytes()
+                assert a[i].disagreement.tobytes() == b[i].disagreement.tobytes()
+        else:
+            assert a == b, entry.name
+
+
+@pytest.fixture
+def trace():
+    return make_trace
+
+
+@pytest.fixture
+def episode():
+    return make_episode
+
+
+@pytest.fixture
+def attachments():
+    return dict(ATTACHMENTS)
+
+
+@pytest.fixture
+def same_trace():
+    return assert_same_trace
+
+
+@pytest.fixture
+def recording(tmp_path):
+    """A whole recording of 60 ticks."""
+    path = tmp_path / "a.mcap"
+    write_episode(path, make_episode(), make_trace(), attachments=ATTACHMENTS)
+    return path
+
+
+type Change = Callable[[str, Message], Message | None]
+
+
+@pytest.fixture
+def rewrite():
+    """Write a recording again with the mcap library, every message passed through `change`; None drops it."""
+
+    def again(data: bytes, change: Change) -> bytes:
+        out = io.BytesIO()
+        writer = Writer(out, enable_data_crcs=True, chunk_size=50_000)
+        schemas: dict[int, int] = {}
+        channels: dict[int, tuple[int, str]] = {}
+        for record in StreamReader(io.BytesIO(data)).records:
+            match record:
+                case Header():
+                    writer.start(record.profile, "somebody else")
+                case Metadata():
+                    writer.add_metadata(record.name, record.metadata)
+                case Attachment():
+                    writer.add_attachment(record.create_time, record.log_time, record.name, record.media_type, record.data)
+                case Schema():
+                    schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
+                case Channel():
+                    number = writer.register_channel(record.topic, record.message_encoding, schemas[record.schema_id])
+                    channels[record.id] = (number, record.topic)
+                case Message():
+                    number, topic = channels[record.channel_id]
+                    if changed := change(topic, record):
+                        writer.add_message(number, changed.log_time, changed.data, changed.publish_time, changed.sequence)
+                case DataEnd():
+                    break
+                case _:
+                    pass
+        writer.finish()
+        return out.getvalue()
+
+    return again
