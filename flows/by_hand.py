@@ -1,0 +1,75 @@
+"""One stage at a time, for people at a terminal: the flow's own steps, without Prefect."""
+
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from flows.opening import Order, open_order, order_of, recall
+from flows.steps_api import StepResult
+from pipeline.errors import ConfigError
+from pipeline.store import store_root
+
+
+def run_stage(
+    stage: str,
+    *,
+    run: str | None = None,
+    recipe: str | None = None,
+    seed: int | None = None,
+    twin: int | None = None,
+) -> dict[str, Any]:
+    """Run one stage of the current generation of a run.
+
+    The run is the one named, the one that recipe, seed and twin say, or the newest of the store.
+
+    Returns:
+        stage, generation, ids, says, resumed.
+
+    Raises:
+        HardcaseError: no such run, or the stage refused.
+    """
+    order = _order(run, recipe, seed, twin)
+    with open_order(order, store_root()) as steps, _bar(stage) as bar:
+        task = bar.add_task(stage, total=None)
+
+        def progress(done: int, total: int) -> None:
+            bar.update(task, completed=done, total=total)
+
+        generation = steps.current(stage)
+        result = steps.report(progress) if stage == "report" else getattr(steps, stage)(generation, progress)
+    return _told(stage, generation, result)
+
+
+def roll_back(*, run: str | None = None) -> dict[str, Any]:
+    """Move the champion pointer of a run back by one."""
+    with open_order(_order(run, None, None, None), store_root()) as steps:
+        return _told("release", steps.current("release"), steps.rollback())
+
+
+def _order(run: str | None, recipe: str | None, seed: int | None, twin: int | None) -> Order:
+    if not any(option is not None for option in (recipe, seed, twin)):
+        return recall(store_root(), run)
+    if run is not None:
+        raise ConfigError(
+            "a run already has its recipe, seed and twin",
+            where=f"--run {run}",
+            mend="give either --run, or --recipe, --seed and --twin",
+        )
+    return order_of(recipe, None, seed, twin)
+
+
+def _told(stage: str, generation: int, result: StepResult) -> dict[str, Any]:
+    return {
+        "stage": stage,
+        "generation": generation,
+        "ids": list(result.ids),
+        "says": result.says,
+        "resumed": result.resumed,
+    }
+
+
+def _bar(stage: str) -> Progress:
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)

@@ -1,0 +1,82 @@
+"""How long still: the shares of the stages, corrected by the time that they really take."""
+
+from collections.abc import Iterator
+
+from flows.running import Step
+from schemas.recipe import Recipe
+
+
+def plan(recipe: Recipe, *, control: bool) -> tuple[Step, ...]:
+    """Every step of a whole loop, in order; must tell the same story as flows.loop.turn."""
+    arms = ("loop", "control") if control else ("loop",)
+    steps = [step for arm in arms for step in _turn(arm, recipe.generations)]
+    return (*steps, Step("loop", recipe.generations, "report"))
+
+
+def _turn(arm: str, last: int) -> Iterator[Step]:
+    yield Step(arm, 0, "collect")
+    for generation in range(last + 1):
+        for stage in ("augment", "build", "train", "gate", "release", "exam"):
+            yield Step(arm, generation, stage)
+        if generation < last:
+            yield Step(arm, generation, "deploy")
+            yield Step(arm, generation, "harvest")
+
+
+def expected_s(step: Step, recipe: Recipe) -> float:
+    """Seconds a step takes on two idle cores, from the counts of the recipe; the figures were measured once."""
+    first = step.generation == 0
+    augment, harvest = recipe.augment, recipe.harvest
+    variants = augment.replays + augment.retargets if first else augment.per_correction * harvest.corrections
+    return {
+        "collect": 0.3 + 0.015 * recipe.collect.demonstrations,
+        "augment": 0.3 + 0.012 * variants,
+        "build": 1.0 + 0.002 * variants,
+        "train": 1.5 + 0.005 * recipe.train.steps,
+        "gate": 0.5 + 0.02 * recipe.gate.looks[0] * (1 if first else 2),
+        "release": 0.1,
+        "exam": 0.5 + 0.018 * (recipe.exam.common + recipe.exam.rare),
+        "deploy": 0.5 + 0.02 * recipe.deploy.episodes,
+        "harvest": 0.5 + 0.1 * harvest.corrections,
+        "report": 3.0,
+    }[step.stage]
+
+
+class Clock:
+    """Estimates what is left; learns the pace of every kind of stage as it goes."""
+
+    def __init__(self, steps: tuple[Step, ...], recipe: Recipe) -> None:
+        self._left = {step: expected_s(step, recipe) for step in steps}
+        self._total_s = sum(self._left.values())
+        self._done: dict[str, tuple[float, float]] = {}
+
+    def finish(self, step: Step, took_s: float, *, resumed: bool) -> None:
+        """Take one measured step off the list; one that was only looked up says nothing of the pace."""
+        expected = self._left.pop(step, None)
+        if expected is not None and not resumed:
+            before = self._done.get(step.stage, (0.0, 0.0))
+            self._done[step.stage] = (before[0] + expected, before[1] + took_s)
+
+    def share_done(self) -> float:
+        """Finished share of the whole by expected time, 0 to 1."""
+        return 1.0 - sum(self._left.values()) / self._total_s
+
+    def left_s(self, now: Step, elapsed_s: float, share: float) -> float:
+        """Seconds left, the running step included.
+
+        Args:
+            now: the running step.
+            elapsed_s: how long it has been running [s].
+            share: how much of it is done, 0 to 1; 0 if it has not said.
+        """
+        planned = self._left.get(now, 0.0) * self._pace(now.stage)
+        own = elapsed_s / share if share > 0.05 else max(planned, elapsed_s)
+        others = sum(s * self._pace(step.stage) for step, s in self._left.items() if step != now)
+        return max(own - elapsed_s, 0.0) + others
+
+    def _pace(self, stage: str) -> float:
+        """Measured over expected: of this kind of stage, else of all so far, else 1."""
+        measured = [self._done[stage]] if stage in self._done else list(self._done.values())
+        if not measured:
+            return 1.0
+        return sum(took for _, took in measured) / sum(expected for expected, _ in measured)

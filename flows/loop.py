@@ -1,0 +1,103 @@
+"""The closed loop as a Prefect flow: it reads like the loop, aloud."""
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+
+from prefect import flow, get_run_logger
+from prefect.artifacts import create_link_artifact, create_table_artifact
+
+from flows.running import Running, Step, run_with, running
+from flows.steps_api import LoopSteps, StepResult
+from flows.tasks import augment, build, collect, deploy, exam, gate, harvest, release, report, train
+from schemas.summary import Generation
+
+
+@flow(name="closed-loop", persist_result=False, result_serializer="json", validate_parameters=False)
+def closed_loop(
+    recipe: str = "default",
+    generations: int | None = None,
+    seed: int = 0,
+    twin: int = 100,
+    control: bool = False,
+    store: str | None = None,
+) -> str:
+    """Learn, prove, release, watch - and begin again from what went wrong.
+
+    Args:
+        recipe: name of a recipe in datasets/recipes, or a path.
+        generations: laps after generation 0; None leaves it to the recipe.
+        seed: seed of data and training.
+        twin: seed of the simulated real robot.
+        control: also turn the same loop with random starts in place of the harvest.
+        store: folder of the store; None means HARDCASE_STORE or datasets/store.
+
+    Returns:
+        Path of the report.
+    """
+    with _opened(recipe, generations, seed, twin, control, store) as now:
+        steps, last = now.steps, now.steps.recipe.generations
+        turn(last)
+        if steps.control is not None:
+            with run_with(steps.control, now.watcher, "control"):
+                turn(last)
+        (page,) = report(last)
+        show(steps, page)
+        return page
+
+
+def turn(last: int) -> None:
+    """Every lap of one arm, generation 0 to `last`; nothing is harvested that no lap would learn from."""
+    collect(0)
+    for generation in range(last + 1):
+        augment(generation)
+        build(generation)
+        train(generation)
+        gate(generation)
+        release(generation)
+        exam(generation)
+        if generation < last:
+            deploy(generation)
+            harvest(generation)
+
+
+def show(steps: LoopSteps, page: str) -> None:
+    """Leave the outcome where Prefect's page shows it: one table, one link."""
+    rows = [_row(lap) for lap in steps.result().generations]
+    create_table_artifact(table=rows, key="success-by-generation", description="Exam of each generation's champion")
+    create_link_artifact(link=f"file://{page}", link_text="report", key="report")
+
+
+class LogWatcher:
+    """Tells Prefect's log what the stages return, when a worker runs the loop and no person watches."""
+
+    def begin(self, step: Step) -> None:
+        """Prefect's own states tell that."""
+
+    def advance(self, done: int, total: int) -> None:
+        """Too many for a log."""
+
+    def end(self, step: Step, result: StepResult) -> None:
+        """One line a stage."""
+        get_run_logger().info("%s %d %s: %s", step.arm, step.generation, step.stage, result.says)
+
+
+def _row(lap: Generation) -> dict[str, str | int]:
+    success = {kind: f"{p.rate:.3f} [{p.low:.3f} {p.high:.3f}]" for kind, p in lap.success.items()}
+    return {"generation": lap.generation, **success, "gate": lap.gate.verdict, "policy": lap.policy}
+
+
+@contextlib.contextmanager
+def _opened(
+    recipe: str, generations: int | None, seed: int, twin: int, control: bool, store: str | None
+) -> Iterator[Running]:
+    """The stages that the command line already opened, or, under a worker, opened here from the parameters."""
+    if (active := running()) is not None:
+        yield active
+        return
+    from flows.opening import open_order, order_of
+    from pipeline.store import store_root
+
+    order = order_of(recipe, generations, seed, twin, control=control)
+    with open_order(order, Path(store) if store else store_root()) as steps, run_with(steps, LogWatcher()) as active:
+        yield active
