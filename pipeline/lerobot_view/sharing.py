@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.arrow import pa, to_rows
+from pipeline.arrow import pa, read_parquet, to_rows
 from pipeline.lerobot_view.exact import MEASURES
 from pipeline.lerobot_view.layout import EPISODES, FILES_PER_CHUNK, data_file, widths
 from pipeline.lerobot_view.tables import Columns, Place, Row
@@ -34,7 +34,7 @@ def shared_with(parent: Path | None, rows: Sequence[Row]) -> Shared:
     """
     if parent is None:
         return _nothing()
-    table = pa.parquet.read_table(parent / EPISODES, use_threads=False)
+    table = read_parquet(parent / EPISODES)
     kept: list[Place] = []
     chunks, files, starts, stops = (table.column(name).to_pylist() for name in (
         "data/chunk_index", "data/file_index", "dataset_from_index", "dataset_to_index"))
@@ -58,8 +58,7 @@ def _nothing() -> Shared:
 
 
 def _read(folder: Path, files: Sequence[str]) -> Columns:
-    tables: list[Any] = [pa.parquet.read_table(folder / f, use_threads=False, partitioning=None) for f in files]
-    table = pa.concat_tables(tables)
+    table = pa.concat_tables([read_parquet(folder / file) for file in files])
     return {name: to_rows(table.column(name), width) for name, width in widths().items()}
 
 
@@ -68,7 +67,7 @@ def _measures(table: Any, episodes: int) -> NDArray[np.float64]:
     first = 0
     for name, width in widths().items():
         for k, measure in enumerate(MEASURES):
-            column = table.column(f"stats/{name}/{measure}").slice(0, episodes).combine_chunks()
-            result[:, k, first:first + width] = column.flatten().to_numpy().reshape(episodes, width)
+            column = table.column(f"stats/{name}/{measure}").slice(0, episodes)
+            result[:, k, first:first + width] = to_rows(column, width)
         first += width
     return result

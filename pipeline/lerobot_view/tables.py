@@ -1,7 +1,7 @@
 """The tables of a version: frames by file, episodes, tasks."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.arrow import pa, to_arrow
+from pipeline.arrow import lists, pa, scalars, texts, to_arrow
 from pipeline.frames import FEATURES, Frames
 from pipeline.lerobot_view.exact import MEASURES
 from pipeline.lerobot_view.layout import BOOKKEEPING, FILES_PER_CHUNK, INTERVENTION, widths
@@ -105,7 +105,7 @@ def write_tasks(path: Path, tasks: Sequence[str]) -> None:
         "columns": [column("task_index", "int64", "int64"), column("task", "unicode", "object")],
         "pandas_version": "2.3.3",
     }
-    table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": pa.array(tasks, pa.string())})
+    table = pa.table({"task_index": scalars(np.arange(len(tasks))), "task": texts(tasks)})
     path.parent.mkdir(parents=True, exist_ok=True)
     pa.parquet.write_table(table.replace_schema_metadata({"pandas": json.dumps(pandas)}), path)
 
@@ -115,7 +115,7 @@ def write_episodes(path: Path, rows: Sequence[Row], places: Sequence[Place], mea
     count = len(rows)
     columns: dict[str, Any] = {
         "episode_index": _integers(range(count)),
-        "tasks": pa.array([[row.task] for row in rows], pa.list_(pa.string())),
+        "tasks": lists(texts([row.task for row in rows]), 1),
         "length": _integers(p.stop - p.start for p in places),
         "data/chunk_index": _integers(p.file // FILES_PER_CHUNK for p in places),
         "data/file_index": _integers(p.file % FILES_PER_CHUNK for p in places),
@@ -124,25 +124,23 @@ def write_episodes(path: Path, rows: Sequence[Row], places: Sequence[Place], mea
     }
     first = 0
     for name, width in widths().items():
-        offsets = pa.array(np.arange(count + 1, dtype=np.int32) * width)
         for k, measure in enumerate(MEASURES):
-            flat = pa.array(measures[:, k, first:first + width].reshape(-1))
-            columns[f"stats/{name}/{measure}"] = pa.ListArray.from_arrays(offsets, flat)
-        columns[f"stats/{name}/count"] = pa.array([[p.stop - p.start] for p in places], pa.list_(pa.int64()))
+            columns[f"stats/{name}/{measure}"] = lists(scalars(measures[:, k, first:first + width].reshape(-1)), width)
+        columns[f"stats/{name}/count"] = lists(columns["length"], 1)
         first += width
     columns |= {"meta/episodes/chunk_index": _integers([0] * count), "meta/episodes/file_index": _integers([0] * count)}
     path.parent.mkdir(parents=True, exist_ok=True)
     pa.parquet.write_table(pa.table(columns | _own_columns(rows)), path)
 
 
-def _integers(values: Any) -> Any:
-    return pa.array(list(values), pa.int64())
+def _integers(values: Iterable[int]) -> Any:
+    return scalars(np.fromiter(values, np.int64))
 
 
 def _own_columns(rows: Sequence[Row]) -> dict[str, Any]:
     """Where each episode comes from; lerobot reads columns that it does not know without a word."""
     episodes = [row.episode for row in rows]
-    texts: dict[str, list[str | None]] = {
+    origin: dict[str, list[str | None]] = {
         "episode_id": [e.id for e in episodes],
         "source": [e.origin for e in episodes],
         "parent": [e.parent for e in episodes],
@@ -158,7 +156,7 @@ def _own_columns(rows: Sequence[Row]) -> dict[str, Any]:
         "split": [row.split for row in rows],
         "group": [row.group for row in rows],
     }
-    columns = {name: pa.array(values, pa.string()) for name, values in texts.items()}
+    columns = {name: texts(values) for name, values in origin.items()}
     columns["generation"] = _integers(e.generation for e in episodes)
-    columns["weight"] = pa.array([row.weight for row in rows], pa.float64())
+    columns["weight"] = scalars(np.array([row.weight for row in rows]))
     return columns

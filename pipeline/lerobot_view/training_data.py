@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.arrow import pa, to_rows
+from pipeline.arrow import pa, read_parquet, to_rows
 from pipeline.frames import FEATURES
 from pipeline.lerobot_view.layout import EPISODES, INTERVENTION, data_file
 from pipeline.lerobot_view.manifest import load_version
@@ -102,9 +102,8 @@ class TrainingData(Samples):
             DatasetError: the folder is no version, or was changed after it was built.
         """
         version = load_version(folder)
-        episodes = pa.parquet.read_table(folder / EPISODES, use_threads=False, columns=[
-            "dataset_from_index", "dataset_to_index", "split", "group"])
-        starts, stops = (episodes.column(n).to_numpy() for n in ("dataset_from_index", "dataset_to_index"))
+        episodes = read_parquet(folder / EPISODES, ["dataset_from_index", "dataset_to_index", "split", "group"])
+        starts, stops = (to_rows(episodes.column(n), 1)[:, 0] for n in ("dataset_from_index", "dataset_to_index"))
         state, environment, action, intervention = _read(folder)
         teaches, last = _runs(starts, stops, intervention)
         lengths = stops - starts
@@ -130,7 +129,7 @@ def _read(folder: Path) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArr
     widths = {**{name: len(FEATURES[name]) for name in names}, INTERVENTION: 1}
     tables: list[Any] = []
     while (path := folder / data_file(len(tables))).exists():
-        tables.append(pa.parquet.read_table(path, columns=[*widths], use_threads=False, partitioning=None))
+        tables.append(read_parquet(path, [*widths]))
     table = pa.concat_tables(tables)
     state, environment, action, intervention = (to_rows(table.column(n), width) for n, width in widths.items())
     return state, environment, action, intervention
