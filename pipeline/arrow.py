@@ -61,10 +61,10 @@ def to_rows(column: Any, width: int) -> NDArray[Any]:
 
 def _numbers(column: Any) -> NDArray[Any]:
     """The numbers of an Arrow array without copy; `to_numpy` would import pandas."""
-    dtype: np.dtype[Any] = np.dtype(column.type.to_pandas_dtype())
+    kind: type[Any] = column.type.to_pandas_dtype()
     if not len(column):
-        return np.empty(0, dtype)
-    return np.frombuffer(column.buffers()[1], dtype, count=len(column), offset=column.offset * dtype.itemsize)
+        return np.empty(0, kind)
+    return np.frombuffer(column.buffers()[1], kind, len(column), column.offset * column.type.byte_width)
 
 
 def read_parquet(path: Path, columns: Sequence[str] | None = None) -> Any:

@@ -24,7 +24,8 @@ def demos(episode):
 @pytest.fixture
 def make(recipe, task, tmp_path, frames):
     def make(episodes, **how):
-        given = {"frames_of": frames, "recipe": recipe, "store": tmp_path / "store", "task": task, "generation": 0} | how
+        given = {"store": tmp_path / "store", "task": task, "generation": 0, "frames_of": frames, "recipe": recipe}
+        given |= how
         return build(episodes, given.pop("frames_of"), given.pop("recipe"), **given)
     return make
 

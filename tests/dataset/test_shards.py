@@ -1,5 +1,7 @@
 """Shards: what goes in comes out, and the same input gives the same bytes."""
 
+from contextlib import suppress
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -57,10 +59,8 @@ def test_mutated_shards_never_crash_the_reader(tmp_path):
         mutant = bytearray(whole)
         mutant[rng.integers(len(mutant))] = rng.integers(256)
         (tmp_path / "mutant").write_bytes(mutant)
-        try:
+        with suppress(DatasetError):
             read_shard(tmp_path / "mutant")
-        except DatasetError:
-            pass
 
 
 def test_a_value_that_is_not_finite_is_refused_by_name(tmp_path):

@@ -20,8 +20,8 @@ def name(k: int) -> str:
 
 
 def made(k: int, parent: int | None) -> Episode:
-    return Episode(id=name(k), origin="scripted" if parent is None else "replayed", scene=SCENE, control_hz=20, frames=3,
-                   outcome=Outcome(label="success", judged_by="simulator"), generation=0, blob="0" * 64,
+    return Episode(id=name(k), origin="scripted" if parent is None else "replayed", scene=SCENE, control_hz=20,
+                   frames=3, outcome=Outcome(label="success", judged_by="simulator"), generation=0, blob="0" * 64,
                    segments=(Segment(kind="demonstration", start=0, stop=3, actor="expert"),),
                    parent=None if parent is None else name(parent))
 
