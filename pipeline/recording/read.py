@@ -34,6 +34,8 @@ class Opened:
     """The metadata record."""
     lost: str | None
     """Why it ends early; None where it is whole."""
+    planned: int
+    """Frames that the episode had before it was cut."""
 
 
 def read_episode(path: Path, *, accept_truncated: bool = False) -> tuple[Episode, Trace]:
@@ -92,10 +94,11 @@ def open_recording(path: Path, *, accept_truncated: bool = False, wanted: Callab
         episode = Episode.model_validate_json(strings["episode_json"])
     topics = messages.topics
     ticks = whole_ticks(topics, required, episode, where=path, exact=lost is None)
-    if lost:
-        episode = _cut(episode, ticks, lost, path)
+    planned = episode.frames
+    if ticks != planned:
+        episode = _cut(episode, ticks, str(lost), path)
     episode = episode.model_copy(update={"blob": sha256(data)})
-    return Opened(episode, Decoder(topics, episode, ticks), _attachments(found), strings, lost)
+    return Opened(episode, Decoder(topics, episode, ticks), _attachments(found), strings, lost, planned)
 
 
 def _count_against_summary(data: bytes, messages: Messages, path: Path) -> None:
@@ -136,7 +139,8 @@ def _attachments(found: Scan) -> dict[str, bytes]:
             (size,) = struct.unpack_from("<Q", found.data, at)
             if at + 8 + size + 4 != stop:
                 raise ValueError(f"{size} B do not fit its record")
-            if zlib.crc32(memoryview(found.data)[start : stop - 4]) != struct.unpack_from("<I", found.data, stop - 4)[0]:
+            (crc,) = struct.unpack_from("<I", found.data, stop - 4)
+            if zlib.crc32(memoryview(found.data)[start : stop - 4]) != crc:
                 raise ValueError("CRC mismatch")
             files[name] = found.data[at + 8 : stop - 4]
     return files
@@ -151,8 +155,8 @@ def _text(data: bytes, at: int, stop: int) -> tuple[str, int]:
 
 def _cut(episode: Episode, ticks: int, lost: str, path: Path) -> Episode:
     """The episode as far as it was recorded; how it ended is not known."""
-    if ticks == 0:
-        raise refuse("episode ends before its first whole tick", path, "drop it: there is nothing to keep")
+    if not 0 < ticks < episode.frames:
+        raise refuse(f"{ticks} whole ticks of {episode.frames}", path, "drop it: there is nothing to keep")
     segments = tuple(s.model_copy(update={"stop": min(s.stop, ticks)}) for s in episode.segments if s.start < ticks)
     reason = f"truncated: {ticks} of {episode.frames} frames kept; {lost}"
     outcome = Outcome(label="unknown", judged_by=episode.outcome.judged_by, reason=reason, trigger=None, family=None,

@@ -61,7 +61,8 @@ def _recover_one(part: Path) -> Recovered | None:
             trace = opened.decoder.trace()
         except RecordingError as error:
             return _quarantine(part, error.what)
-        item = Recording(final, opened.episode, trace, opened.attachments, _software(opened.strings), truncated=True)
+        item = Recording(final, opened.episode, trace, opened.attachments, _software(opened.strings),
+                         truncated=opened.episode.frames < opened.planned)
         with named(final), atomic(final) as whole:
             whole.writelines(encode(item).pieces)
         part.unlink()  # only now: a kill before this line leaves both, and the next start sets the rest aside

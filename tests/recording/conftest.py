@@ -64,22 +64,22 @@ def assert_same_trace(found: Trace, expected: Trace) -> None:
             assert a == b, entry.name
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def trace():
     return make_trace
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def episode():
     return make_episode
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def attachments():
     return dict(ATTACHMENTS)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def same_trace():
     return assert_same_trace
 
@@ -111,7 +111,8 @@ def rewrite():
                 case Metadata():
                     writer.add_metadata(record.name, record.metadata)
                 case Attachment():
-                    writer.add_attachment(record.create_time, record.log_time, record.name, record.media_type, record.data)
+                    writer.add_attachment(record.create_time, record.log_time, record.name, record.media_type,
+                                          record.data)
                 case Schema():
                     schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
                 case Channel():
@@ -119,8 +120,8 @@ def rewrite():
                     channels[record.id] = (number, record.topic)
                 case Message():
                     number, topic = channels[record.channel_id]
-                    if changed := change(topic, record):
-                        writer.add_message(number, changed.log_time, changed.data, changed.publish_time, changed.sequence)
+                    if new := change(topic, record):
+                        writer.add_message(number, new.log_time, new.data, new.publish_time, new.sequence)
                 case DataEnd():
                     break
                 case _:
