@@ -11,11 +11,11 @@ from typing import Any, override
 import numpy as np
 import torch
 import torch.nn.functional as F
-from lerobot.configs import FeatureType, NormalizationMode, PolicyFeature, PreTrainedConfig
-from lerobot.optim import AdamWConfig
-from lerobot.policies.pretrained import PreTrainedPolicy
-from lerobot.processor import PolicyProcessorPipeline, make_default_pre_post_processors
-from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_STATE
+from lerobot.configs import FeatureType, NormalizationMode, PolicyFeature, PreTrainedConfig  # pyright: ignore[reportMissingTypeStubs]
+from lerobot.optim import AdamWConfig  # pyright: ignore[reportMissingTypeStubs]
+from lerobot.policies.pretrained import PreTrainedPolicy  # pyright: ignore[reportMissingTypeStubs]
+from lerobot.processor import PolicyProcessorPipeline, make_default_pre_post_processors  # pyright: ignore[reportMissingTypeStubs]
+from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_STATE  # pyright: ignore[reportMissingTypeStubs]
 from torch import Tensor
 
 from pipeline import frames
@@ -23,7 +23,7 @@ from pipeline.policies.ensembling import DECAY, Ensembler
 from pipeline.policies.network import ChunkedNet, Shape, array, tensor
 
 
-@PreTrainedConfig.register_subclass("chunked")
+@PreTrainedConfig.register_subclass("chunked")  # pyright: ignore[reportUnknownMemberType]
 @dataclass
 class ChunkedConfig(PreTrainedConfig):
     """A chunked multilayer perceptron on relative features of the state."""
@@ -94,7 +94,7 @@ class ChunkedPolicy(PreTrainedPolicy):
     name = "chunked"  # pyright: ignore[reportAssignmentType, reportIncompatibleUnannotatedOverride]
 
     def __init__(self, config: ChunkedConfig, **_: Any) -> None:
-        super().__init__(config)
+        super().__init__(config)  # pyright: ignore[reportUnknownMemberType]
         config.validate_features()
         self.net = ChunkedNet(Shape(config.chunk, config.width, config.depth))
         self._ensembler = Ensembler(config.chunk, len(frames.ACTION), config.ensemble_decay)

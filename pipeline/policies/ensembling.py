@@ -53,7 +53,7 @@ class Ensembler:
 
     def memory(self, ids: Ids) -> Array:
         """Sums for the coming ticks and the count, as rows (len(ids), width)."""
-        return np.concatenate((self._sum[ids, :-1].reshape(len(ids), -1), self._count[ids, None]), 1)
+        return np.concatenate((self._sum[ids, :-1].reshape(len(ids), -1), self._count[ids, None].astype(np.float64)), 1)
 
     def restore(self, ids: Ids, rows: Array) -> None:
         """Set the memory of attempts to rows that memory() gave."""

@@ -7,10 +7,10 @@ and puts names of its own version in the file; the same weights always give the 
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
-import onnxruntime as ort
 import torch
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
@@ -21,6 +21,7 @@ from pipeline.frames import ACTION, ENVIRONMENT, STATE
 from pipeline.policies.ensembling import DECAY
 from pipeline.policies.features import FEATURES, WIDTHS, matrix
 from pipeline.policies.network import array, tensor
+from pipeline.policies.runtime import Session
 from pipeline.policies.training import Fitted
 
 type F32 = NDArray[np.float32]
@@ -37,7 +38,7 @@ class _Graph:
     nodes: list[onnx.NodeProto]
     constants: dict[str, NDArray[np.float32 | np.int64]]
 
-    def add(self, op: str, inputs: tuple[str, ...], *outputs: str, **attributes: int | float) -> None:
+    def add(self, op: str, inputs: tuple[str, ...], *outputs: str, **attributes: Any) -> None:
         """Append a node, named by its first output."""
         self.nodes.append(helper.make_node(op, list(inputs), list(outputs), name=outputs[0], **attributes))
 
@@ -83,12 +84,14 @@ def build(fitted: Fitted) -> bytes:
     graph.add("Reshape", ("flat", "form"), "chunk")
     rows = [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["n", *sizes]) for name, sizes in (
         ("state", [len(STATE)]), ("environment", [len(ENVIRONMENT)]), ("chunk", [shape.chunk, len(ACTION)]))]
-    initializers = [numpy_helper.from_array(values, name) for name, values in sorted(graph.constants.items())]
+    initializers = [
+        numpy_helper.from_array(values, name)  # pyright: ignore[reportUnknownMemberType]
+        for name, values in sorted(graph.constants.items())]
     model = helper.make_model(
         helper.make_graph(graph.nodes, "chunked", rows[:2], rows[2:], initializers), producer_name="hardcase",
         opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR)
     helper.set_model_props(model, {"ensemble_decay": repr(DECAY)})
-    onnx.checker.check_model(model, full_check=True)
+    onnx.checker.check_model(model, full_check=True)  # pyright: ignore[reportUnknownMemberType]
     return model.SerializeToString(deterministic=True)
 
 
@@ -99,10 +102,7 @@ def parity(fitted: Fitted, model: bytes) -> float:
     environment = rng.normal(0, 0.3, (PARITY_ROWS, len(ENVIRONMENT))).astype(np.float32)
     with torch.no_grad():
         expected = array(fitted.network()(tensor(state), tensor(environment))) * fitted.action_std + fitted.action_mean
-    options = ort.SessionOptions()
-    options.intra_op_num_threads = 1
-    session = ort.InferenceSession(model, options, providers=["CPUExecutionProvider"])
-    (got,) = session.run(None, {"state": state, "environment": environment})
+    got = Session(model).run(state, environment)
     return float(np.abs(got - expected).max())
 
 

@@ -23,7 +23,7 @@ def tensor(array: NDArray[Any]) -> Tensor:
 
 def array(values: Tensor) -> NDArray[np.float32]:
     """An array on the memory of a tensor."""
-    return values.detach().numpy()  # pyright: ignore[reportUnknownMemberType]
+    return np.asarray(values.detach().numpy(), np.float32)  # pyright: ignore[reportUnknownMemberType]
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,8 @@ class ChunkedNet(nn.Module):
 
     def features(self, state: Tensor, environment: Tensor) -> Tensor:
         """Features (n, k) of state (n, 16) and environment (n, 7), not yet normalised."""
-        linear, tanh, sin, cos = (torch.cat((state, environment), 1) @ self.matrix).split(WIDTHS, 1)
+        differences = torch.cat((state, environment), 1) @ self.matrix
+        linear, tanh, sin, cos = torch.split(differences, list(WIDTHS), 1)  # pyright: ignore[reportUnknownMemberType]
         return torch.cat((linear, tanh.tanh(), sin.sin(), cos.cos()), 1)
 
     def normalised(self, state: Tensor, environment: Tensor) -> Tensor:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import onnx
 from google.protobuf.message import DecodeError
+from numpy.typing import NDArray
 from onnx import numpy_helper, shape_inference
 
 from pipeline.errors import PolicyError
@@ -23,6 +24,9 @@ MAX_BYTES, MAX_NODES, MAX_VALUES = 64 << 20, 1000, 1 << 20
 """Limits of the file, of the graph, and of the values an attempt may take in any intermediate result."""
 
 MAX_CHUNK = 1024
+
+untyped: Any = numpy_helper
+"""Its arrays have no element types."""
 
 EXPORT = "export the policy again: hardcase train"
 PICKLE = "pickle is never loaded; export safetensors or ONNX"
@@ -61,7 +65,7 @@ def _read(path: Path) -> bytes:
     if path.suffix.lower() in PICKLE_NAMES or data.startswith(PICKLE_STARTS):
         raise PolicyError("pickle where a model is expected", where=path, mend=PICKLE)
     if len(data) > MAX_BYTES:
-        raise PolicyError(f"larger than {MAX_BYTES} B", where=path, mend="a policy of this kind is under 1 MB; " + EXPORT)
+        raise PolicyError(f"larger than {MAX_BYTES} B", where=path, mend=EXPORT)
     if data[8:9] == b"{" and int.from_bytes(data[:8], "little") < len(data):
         raise PolicyError("a safetensors file where an ONNX file is expected", where=path,
                           mend="use the policy.onnx beside it")
@@ -90,10 +94,10 @@ def _check_constants(model: onnx.ModelProto, path: Path) -> None:
             raise PolicyError(f"constant {constant.name!r} lies in another file", where=path,
                               mend="save the model as one file; data outside it is never read")
         try:
-            values: np.ndarray[Any, Any] = numpy_helper.to_array(constant)
+            values: NDArray[Any] = untyped.to_array(constant)
         except (ValueError, TypeError) as error:
             raise PolicyError(f"constant {constant.name!r} is damaged", where=path, mend=EXPORT) from error
-        if values.dtype not in (np.float32, np.int64) or not np.isfinite(values).all():
+        if values.dtype.name not in ("float32", "int64") or not np.isfinite(values).all():
             raise PolicyError(f"constant {constant.name!r} is {values.dtype} or not finite", where=path,
                               mend="train again: the weights must be finite float32")
 

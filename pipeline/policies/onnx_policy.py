@@ -3,12 +3,12 @@
 from pathlib import Path
 
 import numpy as np
-import onnxruntime as ort
 
 from pipeline.errors import PolicyError
 from pipeline.frames import ACTION
 from pipeline.policies.ensembling import Ensembler
 from pipeline.policies.onnx_guard import EXPORT, checked_model
+from pipeline.policies.runtime import Session
 from pipeline.protocols import Array, Ids, Observation
 
 ROWS = 16
@@ -32,12 +32,8 @@ class OnnxPolicy:
             PolicyError: the file is hostile, damaged, a pickle, or for another robot.
         """
         data, chunk, metadata = checked_model(path)
-        options = ort.SessionOptions()
-        options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
-        options.log_severity_level = 4
-        options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # the cores are shared
         try:
-            self._session = ort.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+            self._session = Session(data, threads)
             decay = float(metadata["ensemble_decay"])
         except (KeyError, ValueError) as error:
             raise PolicyError("the file does not say how its chunks are ensembled", where=path, mend=EXPORT) from error
@@ -62,16 +58,15 @@ class OnnxPolicy:
         if n == 0:
             return np.zeros((0, self._chunk, len(ACTION)))
         rows = -(-n // ROWS) * ROWS
-        feeds: dict[str, np.ndarray[tuple[int, int], np.dtype[np.float32]]] = {}
-        for name, values in (("state", observation.state), ("environment", observation.environment)):
-            feeds[name] = np.zeros((rows, values.shape[1]), np.float32)
-            feeds[name][:n] = values
+        state = np.zeros((rows, observation.state.shape[1]), np.float32)
+        environment = np.zeros((rows, observation.environment.shape[1]), np.float32)
+        state[:n], environment[:n] = observation.state, observation.environment
         try:
-            (chunk,) = self._session.run(["chunk"], feeds)  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
-        except Exception as error:
+            chunk = self._session.run(state, environment)
+        except Exception as error:  # see above
             raise PolicyError("ONNX Runtime cannot run the policy on this observation", where=self._path,
                               mend=EXPORT) from error
-        return np.asarray(chunk, np.float64)[:n]  # pyright: ignore[reportUnknownArgumentType]
+        return chunk[:n].astype(np.float64)
 
     def memory(self, ids: Ids) -> Array:
         """The ensembling memory of the attempts as rows, part of a restorable state."""

@@ -4,17 +4,24 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from safetensors import SafetensorError
-from safetensors.numpy import load, save  # pyright: ignore[reportUnknownVariableType]
+from safetensors import numpy as safetensors_numpy
 
 from pipeline.errors import PolicyError
 from pipeline.files import atomic
 
 type Curve = list[tuple[int, float]]
 """(step, loss) pairs."""
+
+untyped: Any = safetensors_numpy
+"""Its arrays have no element types."""
+
+VECTORS = ("weights", "first", "second")
+"""The optimiser's vectors, shape (parameters,) each."""
 
 RETRAIN = "delete it and train again: the same seed gives the same policy"
 
@@ -30,7 +37,7 @@ class Progress:
     train_loss: Curve
     held_out_loss: Curve
     vectors: Mapping[str, NDArray[np.float32]]
-    """weights, first and second: the optimiser's vectors, shape (parameters,) each."""
+    """One for each of VECTORS."""
 
 
 def save_progress(folder: Path, identity: str, progress: Progress) -> Path:
@@ -39,7 +46,7 @@ def save_progress(folder: Path, identity: str, progress: Progress) -> Path:
     facts = {"identity": identity, "step": progress.step, "window": progress.window,
              "train_loss": progress.train_loss, "held_out_loss": progress.held_out_loss}
     with atomic(path) as stream:
-        stream.write(save(dict(progress.vectors), {"training": json.dumps(facts)}))
+        stream.write(untyped.save(dict(progress.vectors), {"training": json.dumps(facts)}))
     for other in folder.glob("step-*.safetensors"):
         if other != path:
             other.unlink()
@@ -59,7 +66,7 @@ def load_progress(path: Path, identity: str, parameters: int) -> Progress:
     """
     try:
         data = path.read_bytes()
-        vectors = load(data)
+        vectors: dict[str, NDArray[np.float32]] = untyped.load(data)
         size = int.from_bytes(data[:8], "little")  # safetensors: header length, JSON header, tensors
         facts = json.loads(json.loads(data[8 : 8 + size])["__metadata__"]["training"])
         progress = Progress(facts["step"], facts["window"], [(s, v) for s, v in facts["train_loss"]],
@@ -69,6 +76,6 @@ def load_progress(path: Path, identity: str, parameters: int) -> Progress:
     if facts.get("identity") != identity:
         raise PolicyError("checkpoint of another training (data, config, seed or network differ)",
                           where=path, mend=RETRAIN)
-    if {k: v.shape for k, v in vectors.items()} != dict.fromkeys(("weights", "first", "second"), (parameters,)):
+    if {name: vector.shape for name, vector in vectors.items()} != dict.fromkeys(VECTORS, (parameters,)):
         raise PolicyError("checkpoint of another network", where=path, mend=RETRAIN)
     return progress

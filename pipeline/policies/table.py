@@ -32,12 +32,14 @@ class PolicyKind:
     export: Callable[[Fitted, Path], float]
     """Writes the ONNX file; returns its largest difference to PyTorch in action units."""
     sources: tuple[str, ...]
-    """Files of pipeline/policies that decide what is learnt: the training code that a policy id hashes."""
+    """Files of pipeline/ that decide what is learnt: the training code that a policy id hashes."""
 
 
 POLICIES: Mapping[str, PolicyKind] = MappingProxyType({
     "chunked": PolicyKind(fit, write_checkpoint, export_onnx, (
-        "checkpoint.py", "ensembling.py", "export.py", "features.py", "network.py", "optimiser.py", "training.py")),
+        "frames.py", "lerobot_view/training_data.py", "policies/checkpoint.py", "policies/ensembling.py",
+        "policies/export.py", "policies/features.py", "policies/network.py", "policies/optimiser.py",
+        "policies/training.py")),
 })
 
 

@@ -24,7 +24,7 @@ from pipeline.files import short_id
 from pipeline.frames import ACTION, ENVIRONMENT, STATE
 from pipeline.policies.network import ChunkedNet, Shape, Weights, array, tensor
 from pipeline.policies.optimiser import FlatAdamW, one_cycle
-from pipeline.policies.resuming import Curve, Progress, load_progress, save_progress
+from pipeline.policies.resuming import VECTORS, Curve, Progress, load_progress, save_progress
 from schemas.recipe import TrainConfig
 
 type F32 = NDArray[np.float32]
@@ -80,7 +80,8 @@ def _deterministic(threads: int) -> Generator[None]:
     torch.set_num_threads(threads)
     torch.use_deterministic_algorithms(True)
     try:
-        yield
+        with torch.random.fork_rng(devices=[]):  # PyTorch draws weights of its own before we set ours
+            yield
     finally:
         torch.set_num_threads(before)
         torch.use_deterministic_algorithms(algorithms)
@@ -89,8 +90,8 @@ def _deterministic(threads: int) -> Generator[None]:
 def _checked(batch: Batch, chunk: int) -> Batch:
     for values, shape in zip(batch, ((len(STATE),), (len(ENVIRONMENT),), (chunk, len(ACTION)), (chunk,)), strict=True):
         if values.shape[1:] != shape or not np.isfinite(values).all():
-            raise PolicyError(f"training samples of shape {values.shape[1:]}, finite {bool(np.isfinite(values).all())}; "
-                              f"the robot has {shape}", where="dataset version", mend="build the version again")
+            raise PolicyError(f"training samples of shape {values.shape[1:]}, the robot has {shape}, all finite",
+                              where="dataset version", mend="build the version again: hardcase build")
     return batch
 
 
@@ -171,8 +172,7 @@ class _Trainer:
 
     def progress(self) -> Progress:
         """What a checkpoint holds."""
-        parts = ("weights", "first", "second")
-        vectors = {name: array(getattr(self.optimiser, name)) for name in parts}
+        vectors = {name: array(getattr(self.optimiser, name)) for name in VECTORS}
         return Progress(self.step, self.window, self.train_loss, self.held_out_loss, vectors)
 
     def resume(self, path: Path) -> None:
