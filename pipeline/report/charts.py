@@ -173,8 +173,8 @@ def _band(line: Line, x: Axis, y: Axis) -> Markup:
 
 def _dots(line: Line, x: Axis, y: Axis) -> Markup:
     shown = [(_x(x, a), _y(y, b), tip) for a, b, tip in zip(line.x, line.y, line.tips, strict=True) if math.isfinite(b)]
-    mark = Markup('<g class="dot c{}"><circle class="hit" cx="{:.1f}" cy="{:.1f}" r="13"/>'
-                  '<circle cx="{:.1f}" cy="{:.1f}" r="3.6"/><title>{}</title></g>')
+    mark = Markup('<g class="dot c{}"><circle cx="{:.1f}" cy="{:.1f}" r="3.6"/>'
+                  '<circle class="hit" cx="{:.1f}" cy="{:.1f}" r="13"/><title>{}</title></g>')
     return Markup("").join(mark.format(line.colour, a, b, a, b, tip) for a, b, tip in shown)
 
 

@@ -41,7 +41,7 @@ def number(value: float | None) -> str:
         return MISSING
     if value and not 1e-3 <= abs(value) < 1e6:
         return f"{value:.2e}".replace("-", "−")
-    digits = 0 if value == int(value) else max(0, 3 - len(str(int(abs(value))))) + (abs(value) < 1)
+    digits = 0 if value == int(value) else max(0, 2 - math.floor(math.log10(abs(value))))
     return f"{value:,.{digits}f}".replace("-", "−")
 
 
