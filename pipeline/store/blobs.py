@@ -32,7 +32,7 @@ class Blobs:
         Raises:
             StoreError: `sha` is not 64 hex digits.
         """
-        return self.folder / check_sha(sha)[:2] / sha
+        return self.folder / check_sha(sha)
 
     def put(self, source: bytes | Path, *, move: bool = False) -> str:
         """Take bytes, or a copy of a file (`move`: the file itself), in; the same bytes are stored once.
@@ -84,12 +84,10 @@ class Blobs:
         Raises:
             StoreError: one of them is not in this store.
         """
-        folders = {self.get(sha).parent for sha in shas}
-        for folder in sorted(folders):
-            self._fault("fsync blob folder")
-            sync_folder(folder)
-        if folders:
-            sync_folder(self.folder)
+        for sha in shas:
+            self.get(sha)
+        self._fault("fsync blob folder")  # one flat folder: one fsync, however many names are new
+        sync_folder(self.folder)
 
     def _put_bytes(self, data: bytes) -> str:
         sha = sha256(data)
@@ -150,10 +148,8 @@ class Blobs:
         os.fsync(stream.fileno())
 
     def _name(self, file: Path, sha: str) -> None:
-        path = self.path(sha)
-        path.parent.mkdir(exist_ok=True)
         self._fault("rename blob")
-        file.replace(path)
+        file.replace(self.path(sha))
 
     def _present(self, sha: str, size: int) -> bool:
         """Whether the blob is whole by its size; a damaged one is written anew."""

@@ -26,7 +26,7 @@ DENIED = frozenset({errno.EROFS, errno.EACCES, errno.EPERM})
 
 _PREFIX = re.compile(r"[0-9a-f]{8,16}")
 _SHORT = re.compile(r"[0-9a-f]{16}")
-_SHA = re.compile(r"[0-9a-f]{64}")
+_SHA = re.compile(r"(?<![0-9a-f])[0-9a-f]{64}(?![0-9a-f])")
 _NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
 
 
@@ -57,6 +57,11 @@ def check_prefix(value: str) -> str:
 def check_sha(value: str) -> str:
     """The name of a blob: 64 hex digits, or an error."""
     return _check(_SHA, "blob", value, "a blob is named by the 64 hex digits of its sha256")
+
+
+def shas_in(text: str) -> set[str]:
+    """Everything in a text that could be the name of a blob."""
+    return set(_SHA.findall(text))
 
 
 def check_name(kind: str, value: str) -> str:

@@ -1,7 +1,6 @@
 """Which process is which: enough to tell whether the holder of a lease still lives."""
 
 import os
-import socket
 import sys
 import time
 from datetime import UTC, datetime
@@ -41,7 +40,7 @@ def me(run: str, command: str | None) -> Holder:
         started=_started(os.getpid()),
         boot=_boot(),
         namespace=_namespace(),
-        host=socket.gethostname(),
+        host=os.uname().nodename,
         since=datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC"),
         command=command or " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
     )

@@ -1,6 +1,7 @@
 """The store: what every stage reads from and commits to."""
 
-from collections.abc import Generator
+from collections.abc import Generator, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Self
@@ -25,6 +26,9 @@ from pipeline.store.lease import Lease
 from pipeline.store.process import Holder
 from pipeline.store.reader import Reader
 from pipeline.store.transaction import Transaction
+
+WAITING = 8
+"""Blobs written at once: the file system commits their fsyncs together."""
 
 
 class Store(Reader):
@@ -139,10 +143,21 @@ class Store(Reader):
             except OSError as error:
                 raise explain(error, self.root) from error
 
+    @contextmanager
+    def exclusive(self) -> Generator[None]:
+        """Keep every commit of every process out while the body runs; gc deletes in it."""
+        with self._catalog.turn():
+            yield
+
     def put_blob(self, source: bytes | Path, *, move: bool = False) -> str:
         """Store bytes, or a file (`move`: take the file itself), and name them by their sha256."""
         with self._latch():
             return self._blobs.put(source, move=move)
+
+    def put_blobs(self, sources: Iterable[bytes | Path], *, move: bool = False) -> list[str]:
+        """Store many at once, their waits for the disk side by side; sha256s in the order of the sources."""
+        with self._latch(), ThreadPoolExecutor(WAITING) as pool:
+            return list(pool.map(lambda source: self._blobs.put(source, move=move), sources))
 
     @contextmanager
     def _latch(self) -> Generator[None]:

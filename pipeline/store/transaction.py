@@ -10,7 +10,7 @@ from pydantic import JsonValue
 from pipeline.errors import StoreError
 from pipeline.files import sync_folder
 from pipeline.store.blobs import Blobs
-from pipeline.store.folder import FaultPoint, check_id, check_name, inside
+from pipeline.store.folder import FaultPoint, check_id, check_name, inside, shas_in
 from pipeline.store.records import RunInfo, StepManifest
 from schemas.base import Frozen
 from schemas.dataset import DatasetVersion
@@ -207,11 +207,13 @@ class Transaction:
             "step", step, key=("run", "generation", "stage"), run=self._run, generation=generation, stage=stage
         )
         self._step = step
+        self._new_blobs.update(sha for sha in shas_in(step.model_dump_json()) if self._blobs.path(sha).is_file())
         return step
 
     def settle(self) -> None:
         """Make durable what the rows speak of: blobs and folders. The store calls it before the commit."""
-        self._blobs.settle(sorted(self._new_blobs))
+        if self._new_blobs:
+            self._blobs.settle(sorted(self._new_blobs))
         for folder in sorted(self._new_folders):
             self._sync_tree(folder)
         for parent in sorted({f.parent for f in self._new_folders}):
