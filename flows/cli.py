@@ -280,16 +280,16 @@ def gc(
 
 @app.command()
 def recover(
-    path: Annotated[Path | None, typer.Argument(help="A broken recording. [default: all of the store]")] = None,
+    folder: Annotated[Path | None, typer.Argument(help="Folder to look through. [default: the store]")] = None,
     json: AsJson = False,
 ) -> None:
     """Save what is whole of recordings that were cut off.
 
-    Example: hardcase recover datasets/store/tmp/7f3a.mcap.part
+    Example: hardcase recover recordings
     """
     from flows.upkeep import recover_recordings
 
-    typer.echo(recover_recordings(path, as_json=json))
+    typer.echo(recover_recordings(folder, as_json=json))
 
 
 if __name__ == "__main__":

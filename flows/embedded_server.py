@@ -11,6 +11,7 @@ import sqlite3
 import sys
 from importlib.metadata import version
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
@@ -19,9 +20,24 @@ OFF = ("TRIGGERS", "EVENT_PERSISTER", "EVENT_LOGGER", "CANCELLATION_CLEANUP", "S
 
 
 def main() -> None:
-    """Serve until SIGTERM, or until the parent is gone."""
-    die_with_parent(int(sys.argv[2]))
-    listener = socket.socket(fileno=int(sys.argv[1]))
+    """Serve until SIGTERM, or until the parent is gone; or only prepare."""
+    if sys.argv[1:] == ["prepare"]:
+        prepare()
+    else:
+        die_with_parent(int(sys.argv[2]))
+        serve(socket.socket(fileno=int(sys.argv[1])))
+
+
+def prepare() -> None:
+    """Make the template now, when the environment is installed, so that no first start has to wait for it."""
+    if not _template().exists():
+        with TemporaryDirectory() as home:
+            os.environ.update({"PREFECT_HOME": home, "PREFECT_SERVER_ANALYTICS_ENABLED": "false", "DO_NOT_TRACK": "1"})
+            _migrate(Path(home) / "prefect.db")
+
+
+def serve(listener: socket.socket) -> None:
+    """Prefect's API and the recorder of task runs, until SIGTERM."""
     os.environ.update({f"PREFECT_SERVER_SERVICES_{name}_ENABLED": "false" for name in OFF})
     gc.disable()  # nothing is freed while modules load; saves a tenth of the start
     home = Path(os.environ["PREFECT_HOME"])

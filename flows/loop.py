@@ -6,10 +6,13 @@ from pathlib import Path
 
 from prefect import flow, get_run_logger
 from prefect.artifacts import create_link_artifact, create_table_artifact
+from prefect.runtime import flow_run
 
+from flows.opening import FIRST_HELD_OUT_TWIN, open_order, order_of
 from flows.running import Running, Step, run_with, running
 from flows.steps_api import LoopSteps, StepResult
 from flows.tasks import augment, build, collect, deploy, exam, gate, harvest, release, report, train
+from pipeline.store import store_root
 from schemas.summary import Generation
 
 
@@ -17,8 +20,8 @@ from schemas.summary import Generation
 def closed_loop(
     recipe: str = "default",
     generations: int | None = None,
-    seed: int = 0,
-    twin: int = 100,
+    seed: int | None = 0,
+    twin: int = FIRST_HELD_OUT_TWIN,
     control: bool = False,
     store: str | None = None,
 ) -> str:
@@ -27,7 +30,7 @@ def closed_loop(
     Args:
         recipe: name of a recipe in datasets/recipes, or a path.
         generations: laps after generation 0; None leaves it to the recipe.
-        seed: seed of data and training.
+        seed: seed of data and training; None takes the number of the scheduled day, for runs by the clock.
         twin: seed of the simulated real robot.
         control: also turn the same loop with random starts in place of the harvest.
         store: folder of the store; None means HARDCASE_STORE or datasets/store.
@@ -87,17 +90,21 @@ def _row(lap: Generation) -> dict[str, str | int]:
     return {"generation": lap.generation, **success, "gate": lap.gate.verdict, "policy": lap.policy}
 
 
+def scheduled_day() -> int:
+    """Days from 1970 to the scheduled start of the running flow, UTC: the seed of a run by the clock."""
+    return int(flow_run.get_scheduled_start_time().timestamp() // 86_400)
+
+
 @contextlib.contextmanager
 def _opened(
-    recipe: str, generations: int | None, seed: int, twin: int, control: bool, store: str | None
+    recipe: str, generations: int | None, seed: int | None, twin: int, control: bool, store: str | None
 ) -> Iterator[Running]:
     """The stages that the command line already opened, or, under a worker, opened here from the parameters."""
     if (active := running()) is not None:
         yield active
         return
-    from flows.opening import open_order, order_of
-    from pipeline.store import store_root
-
+    if seed is None:
+        seed = scheduled_day()
     order = order_of(recipe, generations, seed, twin, control=control)
     with open_order(order, Path(store) if store else store_root()) as steps, run_with(steps, LogWatcher()) as active:
         yield active
