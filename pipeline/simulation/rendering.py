@@ -117,7 +117,8 @@ class FilmCamera:
     camera for many strips. The model may be changed between strips (the size of a geom, a colour).
 
     Raises:
-        SimulationError: no backend works, or the model has no camera of that name.
+        SimulationError: no backend works, the model has no camera of that name, or, from its methods, the
+            states are not this model's.
     """
 
     def __init__(self, model: mujoco.MjModel, *, camera: str | View | None = None,
@@ -175,8 +176,10 @@ class FilmCamera:
         return pictures[:, ::-1]  # OpenGL counts rows from below
 
     def strip(self, rows: NDArray[np.float64], *, quality: int = 82) -> bytes:
-        """The frames side by side, first at the left, as one WebP picture."""
-        picture = np.concatenate(list(self.frames(rows)), axis=1)
+        """The frames side by side, first at the left, parted by a thin line, as one WebP picture."""
+        frames = self.frames(rows)
+        frames[:-1, :, -2:] = 255
+        picture = np.concatenate(list(frames), axis=1)
         stream = io.BytesIO()
         Image.fromarray(picture).save(stream, "WEBP", quality=quality, method=2)  # smaller methods' files are larger
         return stream.getvalue()
