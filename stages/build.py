@@ -74,7 +74,8 @@ def build(episodes: Sequence[Episode], frames_of: Callable[[Episode], Frames] | 
         lineages={"held_out": sorted(held | decided.held_out), "train": sorted(train | decided.train)},
     )
     reuse = store / parent.path if parent and parent.code == code else None
-    writer.write_version(target, rows, _getter(frames_of), content, fps=fps, robot=robot, parent=reuse)
+    writer.write_version(target, rows, _getter(frames_of), content, aside=store / "tmp", fps=fps, robot=robot,
+                         parent=reuse)
     return load_version(target)
 
 

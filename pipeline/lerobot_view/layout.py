@@ -73,9 +73,20 @@ def info(*, robot: str, fps: int, episodes: int, frames: int, tasks: int) -> dic
     }
 
 
+def chunk_and_file(number: int) -> tuple[int, int]:
+    """Chunk index and file index of data file 0, 1, 2, ... of a version."""
+    return divmod(number, FILES_PER_CHUNK)
+
+
+def file_number(chunk: int, file: int) -> int:
+    """The inverse of chunk_and_file."""
+    return chunk * FILES_PER_CHUNK + file
+
+
 def data_file(number: int) -> str:
     """Relative path of data file 0, 1, 2, ... of a version."""
-    return DATA_PATH.format(chunk_index=number // FILES_PER_CHUNK, file_index=number % FILES_PER_CHUNK)
+    chunk, file = chunk_and_file(number)
+    return DATA_PATH.format(chunk_index=chunk, file_index=file)
 
 
 def files_in(folder: Path) -> Iterable[Path]:

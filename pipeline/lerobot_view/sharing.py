@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pipeline.arrow import pa, read_parquet, to_rows
 from pipeline.lerobot_view.exact import MEASURES
-from pipeline.lerobot_view.layout import EPISODES, FILES_PER_CHUNK, data_file, widths
+from pipeline.lerobot_view.layout import EPISODES, data_file, file_number, widths
 from pipeline.lerobot_view.tables import Columns, Place, Row
 
 
@@ -40,7 +40,7 @@ def shared_with(parent: Path | None, rows: Sequence[Row]) -> Shared:
         "data/chunk_index", "data/file_index", "dataset_from_index", "dataset_to_index"))
     old = list(zip(*(table.column(n).to_pylist() for n in ("episode_id", "blob", "segments", "tasks")), strict=True))
     new = [(row.episode.id, row.episode.blob, row.segments, [row.task]) for row in rows]
-    numbers = [chunk * FILES_PER_CHUNK + file for chunk, file in zip(chunks, files, strict=True)]
+    numbers = [file_number(chunk, file) for chunk, file in zip(chunks, files, strict=True)]
     for number in sorted(set(numbers)):
         here = [k for k, n in enumerate(numbers) if n == number]
         if [old[k] for k in here] != new[here[0]:here[-1] + 1]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pipeline.arrow import lists, pa, scalars, texts, to_arrow
 from pipeline.frames import FEATURES, Frames
 from pipeline.lerobot_view.exact import MEASURES
-from pipeline.lerobot_view.layout import BOOKKEEPING, FILES_PER_CHUNK, INTERVENTION, widths
+from pipeline.lerobot_view.layout import BOOKKEEPING, INTERVENTION, chunk_and_file, widths
 from schemas.episode import Episode
 
 type Columns = dict[str, NDArray[Any]]
@@ -117,8 +117,8 @@ def write_episodes(path: Path, rows: Sequence[Row], places: Sequence[Place], mea
         "episode_index": _integers(range(count)),
         "tasks": lists(texts([row.task for row in rows]), 1),
         "length": _integers(p.stop - p.start for p in places),
-        "data/chunk_index": _integers(p.file // FILES_PER_CHUNK for p in places),
-        "data/file_index": _integers(p.file % FILES_PER_CHUNK for p in places),
+        "data/chunk_index": _integers(chunk_and_file(p.file)[0] for p in places),
+        "data/file_index": _integers(chunk_and_file(p.file)[1] for p in places),
         "dataset_from_index": _integers(p.start for p in places),
         "dataset_to_index": _integers(p.stop for p in places),
     }

@@ -1,5 +1,6 @@
 """Writes a version folder: built aside, made durable and read-only, then named in one step."""
 
+import errno
 import json
 import os
 import shutil
@@ -21,16 +22,19 @@ from schemas.episode import Episode
 type FramesOf = Callable[[Episode], Frames]
 
 
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
+
+
 def write_version(target: Path, rows: Sequence[Row], frames_of: FramesOf, manifest: Mapping[str, object], *,
-                  fps: int, robot: str, parent: Path | None = None) -> None:
+                  aside: Path, fps: int, robot: str, parent: Path | None = None) -> None:
     """Write one LeRobot v3.0 folder that never changes again.
 
-    Whoever looks at `target` sees nothing or all of it: the folder is built under a hidden name beside
-    it, every file is fsynced, and one rename names it. What a killed writer left behind is removed by
-    the next.
+    Whoever looks at `target` sees nothing or all of it: the folder is built elsewhere, every file is
+    fsynced, and one rename puts it in place. What a killed writer left behind is removed by the next.
 
     Args:
         target: the folder, which must not exist yet.
+        aside: a folder for unfinished things, on the same file system.
         rows: the episodes in the order of episode_index, at least one.
         frames_of: gives the frames of an episode; asked once for each that the parent does not share.
         manifest: what meta/hardcase.json says besides the digests of the other files.
@@ -40,20 +44,24 @@ def write_version(target: Path, rows: Sequence[Row], frames_of: FramesOf, manife
 
     Raises:
         RecordingError, DatasetError: frames that cannot be trained on; the error names the episode.
-        OSError: the disk is full or read-only; nothing is left behind.
+        DatasetError: the disk is full or read-only; nothing is left behind.
     """
-    building = target.with_name(f".{target.name}.building")
-    if building.exists():
-        shutil.rmtree(building)
-    building.mkdir(parents=True)
+    building = aside / f"version-{target.name}"
     try:
+        if building.exists():
+            shutil.rmtree(building)
+        building.mkdir(parents=True)
+        target.parent.mkdir(parents=True, exist_ok=True)
         _fill(building, rows, frames_of, fps=fps, robot=robot, parent=parent)
         _write_manifest(building, manifest)
         _seal(building)
         building.rename(target)
         sync_folder(target.parent)
-    except BaseException:
+    except BaseException as error:
         shutil.rmtree(building, ignore_errors=True)
+        if isinstance(error, OSError) and error.errno in FULL:
+            raise DatasetError(f"the version cannot be written: {os.strerror(error.errno)}", where=target,
+                               mend="free space (hardcase gc), then build again") from error
         raise
 
 

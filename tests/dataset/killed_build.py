@@ -61,12 +61,12 @@ def main(root):
             grow(store, parent)
             os._exit(0)
         _, status = os.waitpid(child, 0)
-        left = sorted(p.name for p in (store / "versions").iterdir() if not p.name.startswith("."))
+        left = sorted(p.name for p in (store / "versions").iterdir())
         whole = [load_version(store / "versions" / name).id for name in left]
         again = grow(store, parent)
-        hidden = [p.name for p in (store / "versions").iterdir() if p.name.startswith(".")]
+        unfinished = [p.name for p in (store / "tmp").iterdir()]
         reports.append({"killed": os.WIFSIGNALED(status), "whole": whole == left, "parent": parent.id in left,
-                        "left": len(left), "id": again.id, "digest": again.digest, "hidden": hidden})
+                        "left": len(left), "id": again.id, "digest": again.digest, "unfinished": unfinished})
         shutil.rmtree(store)
         if not os.WIFSIGNALED(status):
             break

@@ -17,6 +17,6 @@ def test_a_build_killed_at_any_step_leaves_whole_versions_and_ends_in_the_same_o
     reports = json.loads(done.stdout)
     assert [r["killed"] for r in reports] == [True] * (len(reports) - 1) + [False]
     assert {"fsync", "link", "rename", "chmod", "mkdir", "write_text"} == set(done.stderr.split())
-    assert all(r["whole"] and r["parent"] and not r["hidden"] for r in reports)
+    assert all(r["whole"] and r["parent"] and not r["unfinished"] for r in reports)
     assert {r["left"] for r in reports[:-1]} == {1, 2}, "a kill before and one after the rename must both be seen"
     assert len({(r["id"], r["digest"]) for r in reports}) == 1

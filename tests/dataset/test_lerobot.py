@@ -140,6 +140,22 @@ def test_lerobots_own_tools_take_a_version(opened, versions, tmp_path):
     assert load_version(store / base.path) == base
 
 
+def test_a_version_of_many_files_and_chunks_is_one_dataset(
+        opened, episode, frames, recipe, task, tmp_path, monkeypatch):
+    monkeypatch.setattr("pipeline.lerobot_view.layout.DATA_FILE_MB", 0.01)  # 56 frames a file
+    monkeypatch.setattr("pipeline.lerobot_view.layout.FILES_PER_CHUNK", 3)
+    demos = [episode(f"demo {k}", length=25) for k in range(13)]
+    base = build(demos[:9], frames, recipe, store=tmp_path, task=task, generation=0)
+    grown = build(demos, frames, recipe, store=tmp_path, task=task, generation=1, parent=base)
+    folder = tmp_path / grown.path
+    assert [f"{p.parent.name[-1]}/{p.stem[-1]}" for p in sorted(folder.glob("data/*/*"))] == [
+        "0/0", "0/1", "0/2", "1/0", "1/1", "1/2", "2/0"]
+    check_invariants(folder)
+    recorded = np.concatenate([frames(d).action for d in demos])
+    np.testing.assert_array_equal(np.stack(opened(folder).hf_dataset.with_format("numpy")[:]["action"]), recorded)
+    np.testing.assert_array_equal(TrainingData.load(folder).action, recorded)
+
+
 def check_invariants(folder):
     """Every rule of the format that lerobot relies on but does not check."""
     info = json.loads((folder / "meta/info.json").read_text())
@@ -155,10 +171,10 @@ def check_invariants(folder):
     assert (rows["episode_index"] == np.repeat(episodes["episode_index"].to_numpy(), episodes["length"])).all()
     assert tasks.index.name == "task" and (tasks["task_index"] == np.arange(info["total_tasks"])).all()
     assert info["splits"] == {"train": f"0:{len(episodes)}"}
-    for number, file in enumerate(files):
-        here = episodes[episodes["data/file_index"] == number]
+    for file in files:
+        here = episodes[(episodes["data/file_index"] == int(file.stem[-3:]))
+                        & (episodes["data/chunk_index"] == int(file.parent.name[-3:]))]
         parquet = pq.ParquetFile(file)
-        assert file.name == f"file-{number:03d}.parquet"
         assert [parquet.metadata.row_group(k).num_rows for k in range(parquet.num_row_groups)] == list(here["length"])
         assert parquet.schema_arrow.field("action").type.list_size == 5
     return episodes
