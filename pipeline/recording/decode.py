@@ -1,13 +1,14 @@
 """From messages back to arrays: what a dataset needs, and the whole of a trace."""
 
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.frames import ACTION, ENVIRONMENT, STATE
 from pipeline.recording import cdr
-from pipeline.recording.dialect import FRAME_TOPICS, JOINT_NAMES, topic_type
+from pipeline.recording.dialect import FRAME_TOPICS, JOINT_NAMES, every_tick, topic_type
 from pipeline.recording.scan import reading, refuse
 from pipeline.recording.series import Series
 from pipeline.trace import Event, Rows, Shadow, Trace
@@ -27,8 +28,8 @@ _FEATURES: Mapping[str, tuple[str, int]] = {
 class Decoder:
     """Reads the first `m` ticks of a recording's topics, each checked against what the robot must have."""
 
-    def __init__(self, topics: Mapping[str, Series], episode: Episode, m: int) -> None:
-        self._topics, self._episode, self._m = topics, episode, m
+    def __init__(self, topics: Mapping[str, Series], episode: Episode, m: int, where: Path) -> None:
+        self._topics, self._episode, self._m, self._where = topics, episode, m, where
 
     def features(self) -> dict[str, Rows]:
         """observation.state, observation.environment_state, action, action.joint, and velocity and effort, float64."""
@@ -56,7 +57,10 @@ class Decoder:
             self._array("/sim/state"), self._array("/sim/controller"), self._shadows(), self._events())
 
     def _series(self, topic: str) -> Series:
-        series = self._topics[topic]
+        series = self._topics.get(topic)
+        if series is None:
+            raise refuse(f"topic {topic} is missing beside its sisters", self._where,
+                         "record all topics of a policy, or none")
         if series.type != topic_type(topic):
             raise refuse(f"{topic} is of type {series.type!r}, the dialect says {topic_type(topic)!r}", series.where,
                          "record it in the dialect of pipeline/recording/dialect.py")
@@ -107,6 +111,8 @@ class Decoder:
                 cursor.text()
                 links.append(cursor.text())
                 cursor.floats(7)
+        if not links:
+            return (), np.zeros((self._m, 0, 7))
         runs = series.floats(cdr.tf_message(links), self._m)
         return tuple(links), np.stack(runs, axis=1)[:, :, [0, 1, 2, 6, 3, 4, 5]]
 
@@ -166,7 +172,7 @@ def whole_ticks(topics: Mapping[str, Series], required: tuple[str, ...], episode
                          "record it, or name another robot in the recipe")
     counts: dict[str, int] = {}
     for topic, series in topics.items():
-        if topic in {"/task/phase", "/events", "/robot_description"}:
+        if not every_tick(topic):
             continue
         counts[topic] = len(series)
         wrong = np.flatnonzero(series.ticks() != np.arange(len(series)))

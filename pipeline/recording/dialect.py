@@ -62,6 +62,14 @@ FRAME_TOPICS = ("/joint_states", "/ee/measured", "/ee/commanded", "/observation/
 RESTORE_TOPICS = ("/sim/state", "/sim/controller")
 """Topics that a frame is restored from."""
 
+
+
+def every_tick(topic: str) -> bool:
+    """Whether a trace is rebuilt from this topic, one message a tick."""
+    return topic in _EVERY_TICK or topic.startswith(("/reward/", "/policy/"))
+
+
+_EVERY_TICK = frozenset({*FRAME_TOPICS, *RESTORE_TOPICS, "/tf"})
 _HEADER = "std_msgs/Header header\n"
 _DEFINITIONS = MappingProxyType({
     "std_msgs/msg/String": "string data\n",

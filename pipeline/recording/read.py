@@ -13,7 +13,7 @@ from pipeline.files import sha256
 from pipeline.frames import Frames
 from pipeline.recording import metadata
 from pipeline.recording.decode import Decoder, whole_ticks
-from pipeline.recording.dialect import FRAME_TOPICS, RESTORE_TOPICS
+from pipeline.recording.dialect import FRAME_TOPICS, RESTORE_TOPICS, every_tick
 from pipeline.recording.scan import DAMAGED, Scan, load, reading, refuse, scan
 from pipeline.recording.series import Messages, collect
 from pipeline.recording.summary import read_summary
@@ -69,7 +69,11 @@ def read_attachments(path: Path) -> dict[str, bytes]:
     return open_recording(path, wanted=FRAME_TOPICS.__contains__, required=FRAME_TOPICS).attachments
 
 
-def open_recording(path: Path, *, accept_truncated: bool = False, wanted: Callable[[str], bool] = lambda _: True,
+def _of_a_trace(topic: str) -> bool:
+    return every_tick(topic) or topic in {"/task/phase", "/events"}
+
+
+def open_recording(path: Path, *, accept_truncated: bool = False, wanted: Callable[[str], bool] = _of_a_trace,
                    required: tuple[str, ...] = FRAME_TOPICS + RESTORE_TOPICS) -> Opened:
     """Scan, unpack and check a recording; the data are trusted over the summary.
 
@@ -98,7 +102,7 @@ def open_recording(path: Path, *, accept_truncated: bool = False, wanted: Callab
     if ticks != planned:
         episode = _cut(episode, ticks, str(lost), path)
     episode = episode.model_copy(update={"blob": sha256(data)})
-    return Opened(episode, Decoder(topics, episode, ticks), _attachments(found), strings, lost, planned)
+    return Opened(episode, Decoder(topics, episode, ticks, path), _attachments(found), strings, lost, planned)
 
 
 def _count_against_summary(data: bytes, messages: Messages, path: Path) -> None:

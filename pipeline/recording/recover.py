@@ -39,7 +39,7 @@ def recover(folder: Path) -> list[Recovered]:
         RecordingError: the disk is full or refuses.
     """
     return [done for part in sorted(folder.rglob("*.mcap.part")) if QUARANTINE not in part.parts
-            and (done := _recover_one(part))]
+            and part.is_file() and (done := _recover_one(part))]
 
 
 def _recover_one(part: Path) -> Recovered | None:
@@ -77,6 +77,9 @@ def _quarantine(part: Path, reason: str) -> Recovered:
     """Move a .part aside, its reason beside it."""
     folder = part.parent / QUARANTINE
     folder.mkdir(exist_ok=True)
-    (folder / f"{part.name}.reason.txt").write_text(reason + "\n")
-    part.replace(folder / part.name)
+    name, number = part.name, 1
+    while (folder / name).exists():
+        name, number = f"{part.name}.{number}", number + 1
+    (folder / f"{name}.reason.txt").write_text(reason + "\n")
+    part.replace(folder / name)
     return Recovered(part, None, 0, reason)

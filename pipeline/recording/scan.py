@@ -1,5 +1,6 @@
 """Look at a file before anything is unpacked: where its records lie, and whether it asks for too much."""
 
+import stat
 import struct
 import zlib
 from collections.abc import Generator
@@ -15,8 +16,10 @@ from pipeline.recording.records import MAGIC, Op
 
 MAX_BYTES = 64 << 20
 """Largest record, and largest chunk once unpacked [B]."""
-MAX_TOTAL = 512 << 20
-"""All chunks of a file together, unpacked [B]: half an hour of a robot at 20 Hz is about 100 MB."""
+MAX_TOTAL = 256 << 20
+"""All chunks of a file together, unpacked [B]; half an hour of the arm at 20 Hz takes 150 MB."""
+MAX_RECORDS = 500_000
+"""Top-level records; keeps a file of empty ones from holding a core."""
 MAX_RATIO = 1000
 """Largest unpacked to packed size of a chunk above 1 MiB; state rows reach 2 to 5, a robot that stands still 200."""
 
@@ -74,7 +77,10 @@ def reading(where: Path, part: str) -> Generator[None]:
 def load(path: Path) -> bytes:
     """The bytes of a file no larger than any recording may be."""
     with reading(path, "file"):
-        size = path.stat().st_size
+        status = path.stat()
+        if not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):
+            raise refuse("not a regular file", path, "name a .mcap recording")
+        size = status.st_size
         if size > MAX_TOTAL:
             raise refuse(f"file has {size} B, limit {MAX_TOTAL}", path, _SPLIT)
         return path.read_bytes()
@@ -92,8 +98,11 @@ def scan(data: bytes, where: Path) -> Scan:
     if not data.startswith(MAGIC):
         raise refuse("not an MCAP file (bad magic at byte 0)", where,
                      "name a .mcap recording; older bags are converted by: mcap convert IN OUT.mcap")
-    found, at, total = Scan(data, where), len(MAGIC), 0
+    found, at, total, count = Scan(data, where), len(MAGIC), 0, 0
     while at + 9 <= len(data):
+        count += 1
+        if count > MAX_RECORDS:
+            raise refuse(f"more than {MAX_RECORDS} records up to byte {at}", where, _SPLIT)
         op, size = struct.unpack_from("<BQ", data, at)
         start, stop = at + 9, at + 9 + size
         if op == 0 or op == Op.FOOTER:

@@ -150,15 +150,15 @@ def _walk(plain: bytes, base: int, starts: defaultdict[int, list[int]], schemas:
     while at < end:
         op, size, number = peek(plain, at)
         stop = at + 9 + size
+        room -= 1
+        if room < 0:
+            raise ValueError(f"more than {MAX_MESSAGES} messages")
         if stop > end:
             raise ValueError(f"record at byte {at} of the unpacked chunk is cut off")
         if op == message:
             if size < MESSAGE_FIELDS:
                 raise ValueError(f"message of {size} B at byte {at} of the unpacked chunk")
             starts[number].append(base + at)
-            room -= 1
-            if room < 0:
-                raise ValueError(f"more than {MAX_MESSAGES} messages")
         elif op == Op.SCHEMA:
             schemas[number] = _text(plain, at + 11, stop)[0]
         elif op == Op.CHANNEL:

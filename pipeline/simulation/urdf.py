@@ -110,11 +110,22 @@ def _limits(element: ET.Element, model: mujoco.MjModel, joint: int, *, slide: bo
     element.set("type", "prismatic" if slide else "revolute" if limited else "continuous")
     ET.SubElement(element, "axis", xyz=_numbers(model.jnt_axis[joint]))
     low, high = model.jnt_range[joint] if limited else (-UNLIMITED, UNLIMITED)
-    effort = float(model.jnt_actfrcrange[joint][1]) if model.jnt_actfrclimited[joint] else UNLIMITED
-    limit = ET.SubElement(element, "limit", effort=_numbers([effort]), velocity=_numbers([UNLIMITED]))
+    effort, velocity = _numbers([_effort(model, joint)]), _numbers([UNLIMITED])
+    limit = ET.SubElement(element, "limit", effort=effort, velocity=velocity)
     if limited or slide:
         limit.set("lower", _numbers([low]))
         limit.set("upper", _numbers([high]))
+
+
+def _effort(model: mujoco.MjModel, joint: int) -> float:
+    """Largest force on a joint: its own limit, or that of the actuator that drives it [N m, N]."""
+    if model.jnt_actfrclimited[joint]:
+        return float(model.jnt_actfrcrange[joint][1])
+    for actuator in range(model.nu):
+        drives = model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT
+        if drives and model.actuator_trnid[actuator][0] == joint and model.actuator_forcelimited[actuator]:
+            return float(model.actuator_forcerange[actuator][1] * abs(model.actuator_gear[actuator][0]))
+    return UNLIMITED
 
 
 def _link(robot: ET.Element, model: mujoco.MjModel, body: int) -> None:
@@ -190,5 +201,5 @@ def _turn(axis: Vector, angle: float) -> Vector:
 
 
 def _numbers(values: Vector | list[float]) -> str:
-    """Numbers as URDF writes them; ten digits, and no negative zero."""
-    return " ".join(f"{float(v) + 0.0:.10g}" for v in values)
+    """Numbers as URDF writes them: ten digits, and 0 for what rounding left of it."""
+    return " ".join(f"{float(v):.10g}" if abs(v) > 1e-15 else "0" for v in values)

@@ -3,6 +3,9 @@
 import dataclasses
 import hashlib
 import logging
+import os
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
@@ -13,6 +16,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from pipeline.recording import read_attachments, read_episode, read_frames, write_episode
+from pipeline.trace import Event
 
 sizes = st.integers(1, 12)
 finite = st.floats(allow_nan=False, allow_infinity=False, width=64, min_value=-3e38, max_value=3e38)
@@ -69,6 +73,26 @@ def test_a_body_without_links_rewards_shadows_or_events_comes_back(tmp_path, tra
     bare = dataclasses.replace(trace(), links=(), link_poses=np.zeros((60, 0, 7)), reward={}, shadows={}, events=())
     write_episode(tmp_path / "a.mcap", episode(), bare, attachments={})
     same_trace(read_episode(tmp_path / "a.mcap")[1], bare)
+
+
+def test_events_of_one_tick_and_after_the_last_come_back_in_order(tmp_path, trace, episode, same_trace):
+    events = tuple(Event(tick, 20, name, "") for tick, name in ((0, "a"), (30, "b"), (30, "c"), (60, "after the last")))
+    busy = dataclasses.replace(trace(), events=events)
+    write_episode(tmp_path / "a.mcap", episode(), busy, attachments={})
+    same_trace(read_episode(tmp_path / "a.mcap")[1], busy)
+
+
+def test_topics_at_another_rate_do_not_disturb(recording, rewrite, trace, same_trace):
+    every_other = rewrite(recording.read_bytes(), lambda topic, m: None if topic.startswith("/observation/o")
+                          and m.sequence % 2 else m)
+    recording.write_bytes(every_other)
+    same_trace(read_episode(recording)[1], trace())
+
+
+def test_the_package_imports_neither_physics_nor_networks():
+    heavy = "{'mujoco', 'torch', 'lerobot', 'prefect', 'pandas', 'rerun'}"
+    code = f"import sys, pipeline.recording; sys.exit(bool({heavy} & set(sys.modules)))"
+    subprocess.run([sys.executable, "-c", code], check=True, env=os.environ | {"PYTHONPATH": str(Path.cwd())})
 
 
 def test_the_blob_is_the_hash_of_the_file(recording):

@@ -35,6 +35,7 @@ MJCF = """
     </body>
     <body name="cube" pos="1 0 0"><freejoint/><geom type="box" size=".02 .02 .02"/></body>
   </worldbody>
+  <actuator><position joint="slide" kp="100" forcerange="-5 5" gear="2"/></actuator>
 </mujoco>
 """
 AS_IT_IS = '<mujoco><compiler fusestatic="false" discardvisual="false" balanceinertia="false"/></mujoco>'
@@ -74,6 +75,7 @@ def test_limits_masses_and_shapes_survive():
     np.testing.assert_allclose(back.joint("shoulder").range, [-2, 2])
     np.testing.assert_allclose(back.joint("slide").range, [0, 0.04])
     assert robot.find("joint[@name='shoulder']/limit").get("effort") == "30"
+    assert robot.find("joint[@name='slide']/limit").get("effort") == "10", "the actuator's limit times its gear"
     for name in ("upper", "elbow", "finger", "camera"):
         np.testing.assert_allclose(back.body(name).mass, MODEL.body(name).mass, rtol=1e-8)
         np.testing.assert_allclose(back.body(name).inertia, MODEL.body(name).inertia, rtol=1e-6)
