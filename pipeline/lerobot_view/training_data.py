@@ -12,7 +12,6 @@ from pipeline.arrow import pa, read_parquet, to_rows
 from pipeline.frames import FEATURES
 from pipeline.lerobot_view.layout import EPISODES, INTERVENTION, data_file
 from pipeline.lerobot_view.manifest import load_version
-from pipeline.lerobot_view.split import GROUPS
 
 type Rows = NDArray[np.intp]
 
@@ -31,8 +30,13 @@ class Batch(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Samples:
-    """Frames in memory that batches are drawn from; one side of the split."""
+class TrainingData:
+    """One version in memory, the training split and the validation split.
+
+    A sample starts at a frame that teaches and ends with its run of such frames. Of an episode with an
+    intervention only the intervention teaches, because what the policy did before led to the failure;
+    of any other episode every frame teaches.
+    """
 
     state: NDArray[np.float32]
     """Every frame of the version, shape (n, 16)."""
@@ -40,15 +44,39 @@ class Samples:
     """Shape (n, 7)."""
     action: NDArray[np.float32]
     """Shape (n, 5)."""
+    starts: Rows
+    """First row of each episode, shape (episodes,)."""
+    stops: Rows
+    """Row after the last of each episode, shape (episodes,)."""
     last: Rows
     """For every frame that teaches, the last row of its run; -1 for the others, shape (n,)."""
     rows: Mapping[str, Rows]
-    """Group -> rows that may start a sample, at least one each."""
+    """Group -> rows that may start a training sample, at least one each."""
     weights: Mapping[str, float]
     """Group -> share of each batch; the shares add up to 1."""
+    held_out_rows: Rows
+    """Rows that may start a sample of the validation split, in order; may be empty."""
+
+    @classmethod
+    def load(cls, folder: Path) -> Self:
+        """Read a version folder without lerobot or torch.
+
+        Raises:
+            DatasetError: the folder is no version, or was changed after it was built.
+        """
+        weights = load_version(folder).weights
+        episodes = read_parquet(folder / EPISODES, ["dataset_from_index", "dataset_to_index", "split", "group"])
+        starts, stops = (to_rows(episodes.column(n), 1)[:, 0] for n in ("dataset_from_index", "dataset_to_index"))
+        state, environment, action, intervention = _read(folder)
+        teaches, last = _runs(starts, stops, intervention)
+        lengths = stops - starts
+        train = np.repeat(np.array(episodes.column("split").to_pylist()) == "train", lengths)
+        group = np.repeat(np.array(episodes.column("group").to_pylist()), lengths)
+        rows = {name: np.flatnonzero(train & teaches & (group == name)) for name in weights}
+        return cls(state, environment, action, starts, stops, last, rows, weights, np.flatnonzero(~train & teaches))
 
     def sample(self, rng: np.random.Generator, batch: int, chunk: int) -> Batch:
-        """Draw a batch: the groups by their shares, the frames of a group evenly, with replacement.
+        """Draw training samples: the groups by their shares, the frames of a group evenly, with replacement.
 
         Shares that do not give whole numbers are rounded at random, so that they hold on average for
         every size of batch. Equal generators give equal batches.
@@ -58,7 +86,7 @@ class Samples:
             batch: samples to draw.
             chunk: actions a sample, at least 1.
         """
-        exact = batch * np.array(list(self.weights.values()))
+        exact = batch * np.array([self.weights[name] for name in self.rows])
         counts = np.floor(exact + 1e-9).astype(np.intp)
         if rest := batch - int(counts.sum()):
             part = np.maximum(exact - counts, 0)
@@ -66,9 +94,13 @@ class Samples:
         picks = [rows[rng.integers(rows.size, size=n)] for rows, n in zip(self.rows.values(), counts, strict=True)]
         return self.gather(np.concatenate(picks), chunk)
 
-    def everything(self, chunk: int) -> Batch:
-        """Every sample of this side of the split, once and in order."""
+    def training(self, chunk: int) -> Batch:
+        """Every training sample, once and in order."""
         return self.gather(np.sort(np.concatenate(list(self.rows.values()))), chunk)
+
+    def held_out(self, chunk: int) -> Batch:
+        """Every sample of the validation split, once and in order; may be empty."""
+        return self.gather(self.held_out_rows, chunk)
 
     def gather(self, rows: Rows, chunk: int) -> Batch:
         """The samples that start at these rows."""
@@ -76,52 +108,6 @@ class Samples:
         last = self.last[rows][:, None]
         return Batch(self.state.take(rows, axis=0), self.environment.take(rows, axis=0),
                      self.action.take(np.minimum(wanted, last), axis=0), wanted <= last)
-
-
-@dataclass(frozen=True, slots=True)
-class TrainingData(Samples):
-    """One version in memory: the training split, and beside it the validation split.
-
-    A sample starts at a frame that teaches and ends with its run of such frames. Of an episode with an
-    intervention only the intervention teaches, because what the policy did before led to the failure;
-    of any other episode every frame teaches.
-    """
-
-    held_out: Samples | None
-    """The validation split; None if nothing is held out."""
-    starts: Rows
-    """First row of each episode, shape (episodes,)."""
-    stops: Rows
-    """Row after the last of each episode, shape (episodes,)."""
-
-    @classmethod
-    def load(cls, folder: Path) -> Self:
-        """Read a version folder without lerobot or torch.
-
-        Raises:
-            DatasetError: the folder is no version, or was changed after it was built.
-        """
-        version = load_version(folder)
-        episodes = read_parquet(folder / EPISODES, ["dataset_from_index", "dataset_to_index", "split", "group"])
-        starts, stops = (to_rows(episodes.column(n), 1)[:, 0] for n in ("dataset_from_index", "dataset_to_index"))
-        state, environment, action, intervention = _read(folder)
-        teaches, last = _runs(starts, stops, intervention)
-        lengths = stops - starts
-        train = np.repeat(np.array(episodes.column("split").to_pylist()) == "train", lengths)
-        group = np.repeat(np.array(episodes.column("group").to_pylist()), lengths)
-
-        def side(mask: NDArray[np.bool_]) -> dict[str, Rows]:
-            found = {name: np.flatnonzero(mask & teaches & (group == name)) for name in GROUPS}
-            return {name: rows for name, rows in found.items() if rows.size}
-
-        learn, check = side(train), side(~train)
-        # a group that is held out whole weighs what an average group does
-        weight = {name: version.weights.get(name, 1 / len(GROUPS)) for name in check}
-        total = sum(weight.values())
-        held_out = Samples(state, environment, action, last, check,
-                           {name: w / total for name, w in weight.items()}) if check else None
-        weights = {name: version.weights[name] for name in learn}
-        return cls(state, environment, action, last, learn, weights, held_out, starts, stops)
 
 
 def _read(folder: Path) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:

@@ -83,7 +83,7 @@ def test_small_batches_hold_the_shares_on_average(version):
 def test_of_a_correction_only_the_intervention_teaches(version):
     folder, episodes, _ = version
     data = TrainingData.load(folder)
-    both = np.concatenate([rows_of(data, side.everything(1)) for side in (data, data.held_out)])
+    both = np.concatenate([rows_of(data, batch) for batch in (data.training(1), data.held_out(1))])
     offset = both - data.starts[np.searchsorted(data.stops, both, side="right")]
     corrections = np.searchsorted(data.stops, both, side="right") >= 30
     assert set(offset[corrections].tolist()) == set(range(5, 14))
@@ -93,9 +93,9 @@ def test_of_a_correction_only_the_intervention_teaches(version):
 def test_the_validation_split_is_all_of_the_held_out_episodes(version):
     folder, episodes, built = version
     data = TrainingData.load(folder)
-    rows = rows_of(data, data.held_out.everything(16))
+    rows = rows_of(data, data.held_out(16))
     assert {episodes[k].id for k in np.searchsorted(data.stops, rows, side="right")} == set(built.held_out)
-    assert data.held_out.sample(np.random.default_rng(0), 5, 16).actions.shape == (5, 16, 5)
+    assert not set(rows.tolist()) & set(rows_of(data, data.training(16)).tolist())
 
 
 def test_a_chunk_ends_where_the_policy_took_over_again(episode, frames, recipe, task, tmp_path):
@@ -103,15 +103,16 @@ def test_a_chunk_ends_where_the_policy_took_over_again(episode, frames, recipe, 
                 for kind, a, b in (("autonomous", 0, 3), ("intervention", 3, 6), ("autonomous", 6, 9))]
     handed_back = episode("fix", "corrected", parent="attempt", length=9, generation=1, segments=segments)
     version = build([handed_back], frames, recipe, store=tmp_path, task=task, generation=1)
-    batch = TrainingData.load(tmp_path / version.path).everything(4)
+    batch = TrainingData.load(tmp_path / version.path).training(4)
     assert batch.mask.sum(axis=1).tolist() == [3, 2, 1]
     np.testing.assert_array_equal(batch.actions[1], frames(handed_back).action[[4, 5, 5, 5]])
 
 
-def test_without_held_out_episodes_there_is_no_validation_split(episode, frames, recipe, task, tmp_path):
+def test_without_held_out_episodes_the_validation_split_is_empty(episode, frames, recipe, task, tmp_path):
     version = build([episode("only")], frames, recipe, store=tmp_path, task=task, generation=0)
     data = TrainingData.load(tmp_path / version.path)
-    assert version.held_out == () and data.held_out is None
+    assert version.held_out == ()
+    assert [a.shape for a in data.held_out(16)] == [(0, 16), (0, 7), (0, 16, 5), (0, 16)]
 
 
 def test_a_changed_folder_is_never_trained_on(version):
