@@ -35,6 +35,10 @@ class PolicyError(HardcaseError):
     """A policy file is refused or does not fit the robot."""
 
 
+class GateError(HardcaseError):
+    """The gate cannot judge what it was given, or a candidate did not earn its release."""
+
+
 class SimulationError(HardcaseError):
     """A model does not load, or physics diverged."""
 

@@ -8,12 +8,12 @@ from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import bdtr, betaincinv
-from scipy.stats import binom
+from scipy.special import bdtr, bdtrc, betaincinv, gammaln, xlog1py, xlogy  # pyright: ignore[reportMissingTypeStubs]
 
 from pipeline.errors import ConfigError
 
 type Outcomes = NDArray[np.bool_]
+type Rates = NDArray[np.float64]
 
 NUISANCE_SHARE = 1 / 40
 """Part of the error that pays for not searching discordance rates that the data rule out (Berger and Boos)."""
@@ -76,7 +76,7 @@ def mcnemar(fixed: int, broken: int) -> McNemar:
     if fixed < 0 or broken < 0:
         raise ConfigError(f"{fixed} fixed and {broken} broken scenes are no counts", where="mcnemar",
                           mend="count discordant scenes with compare()")
-    gain, loss = (float(binom.sf(x - 1, fixed + broken, 0.5)) for x in (fixed, broken))
+    gain, loss = (float(bdtrc(x - 1, fixed + broken, 0.5)) if x else 1.0 for x in (fixed, broken))
     return McNemar(p_gain=min(1.0, gain), p_loss=min(1.0, loss), p_two_sided=min(1.0, 2 * min(gain, loss)))
 
 
@@ -163,15 +163,15 @@ def _largest_broken(fixed: NDArray[np.int_], n: int, limit: float, z: float,
 def _worst_tail(largest: NDArray[np.int_], n: int, loss: float, low: float, high: float) -> float:
     """Largest probability of {broken <= largest[fixed]} over discordance rates in [low, high]."""
     if low >= high:
-        return _tail(largest, n, loss, np.array([low]))[0]
-    grid = np.linspace(low, high, 33)
+        return float(_tail(largest, n, loss, np.array([low]))[0])
+    grid: Rates = np.linspace(low, high, 33, dtype=np.float64)
     values = _tail(largest, n, loss, grid)
     best = int(values.argmax())
-    fine = np.linspace(grid[max(best - 1, 0)], grid[min(best + 1, 32)], 13)
+    fine: Rates = np.linspace(float(grid[max(best - 1, 0)]), float(grid[min(best + 1, 32)]), 13, dtype=np.float64)
     return float(max(values[best], _tail(largest, n, loss, fine).max()))
 
 
-def _tail(largest: NDArray[np.int_], n: int, loss: float, discordance: NDArray[np.float64]) -> NDArray[np.float64]:
+def _tail(largest: NDArray[np.int_], n: int, loss: float, discordance: Rates) -> Rates:
     """P(broken <= largest[fixed]) at each discordance rate: fixed is binomial, broken given fixed is too."""
     p_fixed, p_broken = (discordance - loss)[:, None] / 2, (discordance + loss)[:, None] / 2
     top = float(p_fixed.max())
@@ -180,7 +180,9 @@ def _tail(largest: NDArray[np.int_], n: int, loss: float, discordance: NDArray[n
     kept = fixed[largest[: reach + 1] >= 0]
     share = np.clip(p_broken / np.maximum(1 - p_fixed, 1e-12), 0, 1)
     tail = bdtr(largest[kept].astype(np.float64), n - kept, np.broadcast_to(share, (share.size, kept.size)))
-    return (binom.pmf(kept, n, np.clip(p_fixed, 0, 1)) * tail).sum(axis=1)
+    ways = gammaln(n + 1) - gammaln(kept + 1) - gammaln(n - kept + 1)
+    p_fixed = np.clip(p_fixed, 0, 1)
+    return (np.exp(ways + xlogy(kept, p_fixed) + xlog1py(n - kept, -p_fixed)) * tail).sum(axis=1)
 
 
 def _clopper_pearson(count: int, n: int, alpha: float) -> tuple[float, float]:

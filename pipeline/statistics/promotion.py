@@ -7,11 +7,12 @@ bounded below the margin (else no PASS). See docs/decisions/006-gate.md.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import ceil, sqrt
 from typing import Literal
 
 import numpy as np
 
-from pipeline.statistics.paired import Outcomes, compare, loss_upper, mcnemar
+from pipeline.statistics.paired import Outcomes, compare, loss_upper, mcnemar, score
 from pipeline.statistics.proportions import wilson
 from pipeline.statistics.sequential import (
     further_scenes_to_bound,
@@ -63,9 +64,9 @@ def rule(strata: Sequence[StratumResult], config: GateConfig, look: int) -> Ruli
     """Decide at look number `look` (from 0) from the results of compare_strata at that look's alpha.
 
     A significant loss anywhere is FAIL. A significant gain anywhere, with the loss of every stratum bounded below
-    the margin, is PASS. "stop" gives up before the budget is spent: where no gain is likely to become significant,
-    or where a stratum has so few scenes that even solving all that are left could not bound its loss. Else
-    "continue", also at the last look, where the caller has to end.
+    the margin, is PASS. "stop" gives up before the budget is spent, where futile() or out_of_reach() see no prospect of
+    a PASS; that can only lower the chance of a promotion. Else "continue", also at the last look, where the caller
+    has to end.
 
     Source: intersection-union argument for "every stratum", Berger 1982, Technometrics 24:295; Holm 1979 for
     "anywhere"; union bound over looks, see sequential.spend.
@@ -83,7 +84,8 @@ def rule(strata: Sequence[StratumResult], config: GateConfig, look: int) -> Ruli
         decision = "FAIL"
     elif gained and not unbounded:
         decision = "PASS"
-    elif look + 1 < len(alphas) and (hopeless(strata, config, look) or (not gained and futile(strata, config, look))):
+    elif look + 1 < len(alphas) and (
+            (not gained and futile(strata, config, look)) or out_of_reach(strata, config, look)):
         decision = "stop"
     return Ruling(decision, gained, lost, unbounded, min(gains.values()), min(losses.values()))
 
@@ -94,22 +96,29 @@ def hypotheses(strata: Sequence[StratumResult]) -> Sequence[StratumResult]:
 
 
 def futile(strata: Sequence[StratumResult], config: GateConfig, look: int) -> bool:
-    """Whether no gain is likely to become significant by the last look."""
+    """Whether no gain is likely to become significant by the last look; without a discordant scene, none is."""
     questions = hypotheses(strata)
     level = spend(config.looks, config.alpha)[-1] / len(questions)
     seen = config.looks[look] / config.looks[-1]
-    return all(outlook(s.fixed, s.broken, seen, level) < FUTILE for s in questions)
+    return all(s.fixed + s.broken == 0 or outlook(
+        (s.fixed - s.broken) / sqrt(s.fixed + s.broken), seen, level) < FUTILE for s in questions)
 
 
-def hopeless(strata: Sequence[StratumResult], config: GateConfig, look: int) -> tuple[str, ...]:
-    """Strata whose loss could not be bounded at any later look even if every further scene of theirs were fixed."""
+def out_of_reach(strata: Sequence[StratumResult], config: GateConfig, look: int) -> tuple[str, ...]:
+    """Strata whose loss is unlikely to be bounded below the margin by the last look.
+
+    Either a chance below FUTILE at the trend seen, or too few scenes: even if none of the scenes to come were
+    broken, and as many fixed as before, no later look would bound the loss.
+    """
     alphas = spend(config.looks, config.alpha)
 
     def reachable(s: StratumResult) -> bool:
+        z = -float(score(s.broken, s.fixed, s.candidate.n, config.margin))
+        if outlook(z, config.looks[look] / config.looks[-1], alphas[-1]) < FUTILE:
+            return False
         for later, alpha in zip(config.looks[look + 1:], alphas[look + 1:], strict=True):
-            n = s.candidate.n * later // config.looks[look] + 1  # strata keep their share; one more for rounding
-            quiet = loss_upper(s.fixed, s.broken, n, alpha)
-            if min(quiet, loss_upper(s.fixed + n - s.candidate.n, s.broken, n, alpha)) < config.margin:
+            growth = later / config.looks[look]  # strata keep their share of the scenes
+            if loss_upper(int(s.fixed * growth), s.broken, ceil(s.candidate.n * growth), alpha) < config.margin:
                 return True
         return False
 

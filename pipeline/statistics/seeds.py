@@ -10,6 +10,8 @@ from pipeline.errors import ConfigError
 from pipeline.statistics.paired import mcnemar
 
 type Runs = NDArray[np.bool_]
+type Rates = NDArray[np.float64]
+type Counts = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,11 +62,12 @@ def bootstrap_difference(strata: Mapping[str, tuple[Runs, Runs]], shares: Mappin
     estimate, replicate = 0.0, np.zeros(replicates)
     for name, (first, second) in strata.items():
         n = first.shape[1]
-        ahead, behind = (first & ~second).mean(axis=1), (second & ~first).mean(axis=1)
+        ahead: Rates = np.mean(first & ~second, axis=1)
+        behind: Rates = np.mean(second & ~first, axis=1)
         estimate += shares[name] * float((ahead - behind).mean())
-        up = rng.binomial(n, ahead[drawn])
-        rest = np.clip(behind / np.maximum(1 - ahead, 1e-300), 0, 1)
-        down = rng.binomial(n - up, rest[drawn])
+        up: Counts = rng.binomial(n, ahead[drawn])
+        rest: Rates = np.clip(behind / np.maximum(1 - ahead, 1e-300), 0, 1)
+        down: Counts = rng.binomial(n - up, rest[drawn])
         replicate += shares[name] * ((up - down) / n).mean(axis=1)
     low, high = np.quantile(replicate, [(1 - level) / 2, (1 + level) / 2])
     return Interval(estimate=estimate, low=float(low), high=float(high))

@@ -1,6 +1,7 @@
 """Looking more than once and asking more than one question, without promising more certainty than there is."""
 
 from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
 from math import ceil, e, log, sqrt
 from statistics import NormalDist
 from types import MappingProxyType
@@ -53,7 +54,7 @@ def spend(looks: Sequence[int], alpha: float, spending: Spending = "pocock") -> 
         raise ConfigError(f"looks {tuple(looks)} at alpha {alpha}", where="error spending",
                           mend="give scene counts that rise from above 0, and an alpha between 0 and 0.5")
     spent = [0.0, *(SPENDING[spending](n / looks[-1], alpha) for n in looks)]
-    return tuple(after - before for before, after in zip(spent, spent[1:], strict=False))
+    return tuple(after - before for before, after in pairwise(spent))
 
 
 def holm(p: Mapping[str, float]) -> dict[str, float]:
@@ -73,24 +74,21 @@ def holm(p: Mapping[str, float]) -> dict[str, float]:
     return {name: adjusted[name] for name in p}
 
 
-def outlook(fixed: int, broken: int, seen: float, alpha: float) -> float:
-    """Chance that a gain will be significant at the last look, given what was seen so far.
+def outlook(z: float, seen: float, alpha: float) -> float:
+    """Chance that a test will be significant at the last look, given its statistic now.
 
-    Predictive probability with a flat prior on the trend: with Z = (c - b) / sqrt(c + b) after a share t of the
-    scenes, Phi((Z - z_alpha sqrt(t)) / sqrt(1 - t)). Without a discordant scene, 0. It may only be used to give up
-    early: giving up can never promote, so it cannot raise the false promotion rate.
+    Predictive probability with a flat prior on the trend: with z after a share t of the scenes,
+    Phi((z - z_alpha sqrt(t)) / sqrt(1 - t)). It may only be used to give up early: giving up can never promote, so
+    it cannot raise the false promotion rate.
 
     Args:
-        fixed: c, scenes only the candidate solves.
-        broken: b, scenes only the champion solves.
+        z: statistic so far, standard normal without an effect, large for an effect.
         seen: t, share of the budget that was played, in (0, 1].
         alpha: level of the last look for this question.
 
     Source: Spiegelhalter, Freedman, Blackburn 1986, Controlled Clinical Trials 7:8; Jennison and Turnbull 2000, ch. 10.
     """
-    if fixed + broken == 0:
-        return 0.0
-    ahead = (fixed - broken) / sqrt(fixed + broken) - NORMAL.inv_cdf(1 - alpha) * sqrt(seen)
+    ahead = z - NORMAL.inv_cdf(1 - alpha) * sqrt(seen)
     return NORMAL.cdf(ahead / sqrt(1 - seen)) if seen < 1 else float(ahead >= 0)
 
 
