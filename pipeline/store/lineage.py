@@ -2,20 +2,17 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from json import dumps
 from types import MappingProxyType
 from typing import Literal
 
 from pydantic import Field
 
 from pipeline.files import sha256
+from pipeline.store.facts import codes, draw_ranges, made, outcome, releases, some, unit_of, users
 from pipeline.store.reader import Reader
 from pipeline.store.records import RunInfo
 from schemas.base import Frozen
 from schemas.episode import Episode
-
-FIRST = 3
-"""Ids that a summary shows of a group."""
 
 type Kind = Literal["policy", "version", "group", "episode", "verdict", "hard_case", "run"]
 
@@ -68,14 +65,14 @@ def _policy(store: Reader, id: str, full: bool) -> Lineage:
     facts = {
         "kind": p.kind, "generation": str(p.generation), "seed": str(p.seed), "steps": str(p.steps),
         "config": p.config, "training code": p.code, "checkpoint": p.checkpoint,
-        "files": _some([f"{name} {sha if full else sha[:12]}" for name, sha in sorted(p.files.items())], full),
-        **_made(store, "policy", id),
+        "files": some([f"{name} {sha if full else sha[:12]}" for name, sha in sorted(p.files.items())], full),
+        **made(store, "policy", id),
     }  # fmt: skip
     verdicts = [_verdict_line(store, v.id) for v in store.verdicts(candidate=id)]
     return Lineage(
         kind="policy",
         id=id,
-        facts=facts | _releases(store, id),
+        facts=facts | releases(store, id),
         children=(*_runs(store, "policy", id, full), *verdicts, _version(store, p.dataset, full, "trained on")),
     )
 
@@ -90,8 +87,8 @@ def _version(store: Reader, id: str, full: bool, role: str = "") -> Lineage:
         "recipe": v.recipe, "generation": str(v.generation), "digest": v.digest, "code": v.code,
         "episodes": f"{len(episodes)} ({v.frames} frames), {len(v.held_out)} held out",
         "weights": ", ".join(f"{name} {share:g}" for name, share in v.weights.items()),
-        "inputs": _some([b if full else b[:12] for b in v.inputs], full),
-        "folder": v.path, **_made(store, "version", id), **({"parent": v.parent} if v.parent else {}),
+        "inputs": some([b if full else b[:12] for b in v.inputs], full),
+        "folder": v.path, **made(store, "version", id), **({"parent": v.parent} if v.parent else {}),
     }  # fmt: skip
     groups = [_group(store, origin, members, full) for origin, members in by_origin.items()]
     return Lineage(kind="version", id=id, role=role, facts=facts, children=tuple(groups))
@@ -105,50 +102,51 @@ def _group(store: Reader, origin: str, episodes: Sequence[Episode], full: bool) 
         "strata": ", ".join(f"{name} {n}" for name, n in Counter(e.scene.stratum for e in episodes).most_common()),
         "seeds": f"{min(seeds)} to {max(seeds)} ({', '.join(sorted({e.scene.family for e in episodes}))})",
     }
-    if draws := _draw_ranges(episodes):
+    if draws := draw_ranges(episodes):
         facts["draws"] = draws
     if transforms := sorted({e.transform for e in episodes if e.transform}):
-        facts["made by"] = _some(transforms, full)
+        facts["made by"] = some(transforms, full)
     if actors := sorted({e.policy for e in episodes if e.policy}):
         facts["acted"] = ", ".join(f"policy {id}" for id in actors)
     if parents:
-        facts["parents"] = f"{len(parents)}: {_some(parents, full)}"
-    if codes := _codes(store, [e.id for e in episodes]):
-        facts["code"] = codes
+        facts["parents"] = f"{len(parents)}: {some(parents, full)}"
+    if code := codes(store, [e.id for e in episodes]):
+        facts["code"] = code
     blobs = list(dict.fromkeys(e.blob for e in [*episodes, *store.episodes(parents)] if e.blob))
     if blobs:
-        facts["recordings"] = f"{len(blobs)}: {_some([b if full else b[:12] for b in blobs], full)}"
+        facts["recordings"] = f"{len(blobs)}: {some([b if full else b[:12] for b in blobs], full)}"
     if full:
         return Lineage(kind="group", id=origin, facts=facts, children=tuple(_episode_line(e) for e in episodes))
-    return Lineage(kind="group", id=origin, facts=facts | {"ids": _some([e.id for e in episodes], full)})
+    return Lineage(kind="group", id=origin, facts=facts | {"ids": some([e.id for e in episodes], full)})
 
 
 def _episode_line(e: Episode, role: str = "") -> Lineage:
     s = e.scene
     facts = {
-        "origin": e.origin, "generation": str(e.generation), "outcome": _outcome(e),
+        "origin": e.origin, "generation": str(e.generation), "outcome": outcome(e),
         "scene": f"{s.family} seed {s.seed}, {s.robot}, {s.scene}, {s.task}, {s.stratum}",
         "recording": e.blob or ("none; made again from its parent and seed" if e.parent else "none"),
     }  # fmt: skip
     if s.twin is not None:
         facts["twin"] = str(s.twin)
     if s.draws:
-        facts["draws"] = ", ".join(f"{d.name} {d.value:.6g} {d.unit}" for d in s.draws)
+        facts["draws"] = ", ".join(f"{d.name} {d.value:.6g}{unit_of(d.unit)}" for d in s.draws)
     origin = {"transform": e.transform, "parent": e.parent, "policy": e.policy}
     facts |= {name: value for name, value in origin.items() if value}
     return Lineage(kind="episode", id=e.id, role=role, facts=facts)
 
 
-def _episode(store: Reader, id: str, full: bool, role: str = "", users: bool = True) -> Lineage:
+def _episode(store: Reader, id: str, full: bool, role: str = "", forward: bool = True) -> Lineage:
     e = store.episode(id)
     node = _episode_line(e, role)
-    children = [_hard_case_line(store, c.id) for c in store.hard_cases(episode=id)]
+    cases = store.hard_cases(episode=id) if role != "attempt" else []  # an attempt is told below its hard case
+    children = [_hard_case_line(store, c.id) for c in cases]
     if e.parent:
-        children.append(_episode(store, e.parent, full, "parent", users=False))
-    facts = node.facts | _made(store, "episode", id)
-    if users:
+        children.append(_episode(store, e.parent, full, "parent", forward=False))
+    facts = node.facts | made(store, "episode", id)
+    if forward:
         children += _runs(store, "episode", id, full)
-        facts |= _users(store, id, full)
+        facts |= users(store, id, full)
     return node.model_copy(update={"facts": facts, "children": tuple(children)})
 
 
@@ -158,7 +156,7 @@ def _verdict_line(store: Reader, id: str, role: str = "judged by") -> Lineage:
         "decision": f"{v.decision}: {v.reason}", "candidate": v.candidate, "champion": v.champion or "none",
         "scenes": str(v.scenes), "p": "none" if v.p is None else f"{v.p:.4g}", "margin": f"{v.margin:g}",
     }  # fmt: skip
-    return Lineage(kind="verdict", id=id, role=role, facts=facts | _made(store, "verdict", id))
+    return Lineage(kind="verdict", id=id, role=role, facts=facts | made(store, "verdict", id))
 
 
 def _verdict(store: Reader, id: str, full: bool) -> Lineage:
@@ -173,7 +171,7 @@ def _hard_case_line(store: Reader, id: str, role: str = "hard case") -> Lineage:
         "trigger": f"{c.trigger} at tick {c.tick}", "family": c.family, "stratum": c.stratum,
         "correction": f"{c.correction} ({'succeeded' if c.corrected else 'failed'})" if c.correction else "none",
     }  # fmt: skip
-    return Lineage(kind="hard_case", id=id, role=role, facts=facts | _made(store, "hard_case", id))
+    return Lineage(kind="hard_case", id=id, role=role, facts=facts | made(store, "hard_case", id))
 
 
 def _hard_case(store: Reader, id: str, full: bool) -> Lineage:
@@ -216,62 +214,3 @@ TELL: MappingProxyType[str, Callable[[Reader, str, bool], Lineage]] = MappingPro
 def _runs(store: Reader, kind: str, id: str, full: bool) -> list[Lineage]:
     rows = store.query("SELECT run FROM member WHERE kind = ? AND id = ? ORDER BY run", (kind, id))
     return [_run(store, str(run), full, "made in") for (run,) in rows]
-
-
-def _made(store: Reader, kind: str, id: str) -> dict[str, str]:
-    """The step that added a row, and its code."""
-    rows = store.query(
-        "SELECT run, generation, stage FROM member WHERE kind = ? AND id = ? AND stage NOT NULL", (kind, id)
-    )
-    for run, generation, stage in rows:
-        step = store.step(str(run), int(str(generation)), str(stage))
-        if step:
-            code = f", code {step.code}" if step.code else ""
-            return {"step": f"{step.stage} of generation {step.generation}{code}"}
-    return {}
-
-
-def _codes(store: Reader, ids: list[str]) -> str:
-    """Code hashes of the steps that added some episodes, by stage and generation."""
-    rows = store.query(
-        "SELECT DISTINCT step.generation, step.stage, json_extract(step.json, '$.code') FROM member JOIN step"
-        " ON (step.run, step.generation, step.stage) = (member.run, member.generation, member.stage)"
-        " WHERE member.kind = 'episode' AND member.id IN (SELECT value FROM json_each(?)) ORDER BY 1, 2",
-        (dumps(ids),),
-    )
-    return ", ".join(f"{stage} of generation {generation} {code}" for generation, stage, code in rows if code)
-
-
-def _users(store: Reader, id: str, full: bool) -> dict[str, str]:
-    """Forward: the dataset versions that hold an episode, and the policies that saw it."""
-    rows = store.query(
-        "SELECT version.id, policy.id FROM version_episode JOIN version ON version.id = version_episode.version"
-        " LEFT JOIN policy ON policy.dataset = version.id WHERE episode = ? ORDER BY version.place, policy.place",
-        (id,),
-    )
-    versions = list(dict.fromkeys(str(v) for v, _ in rows))
-    policies = [str(p) for _, p in rows if p]
-    return {"in versions": _some(versions, full) or "none", "seen by policies": _some(policies, full) or "none"}
-
-
-def _releases(store: Reader, policy: str) -> dict[str, str]:
-    rows = store.query("SELECT run, number, json_extract(json, '$.kind') FROM release WHERE policy = ?", (policy,))
-    return {"released": ", ".join(f"number {n} of run {run} ({kind})" for run, n, kind in rows)} if rows else {}
-
-
-def _draw_ranges(episodes: Iterable[Episode]) -> str:
-    values: dict[tuple[str, str], list[float]] = {}
-    for e in episodes:
-        for d in e.scene.draws:
-            values.setdefault((d.name, d.unit), []).append(d.value)
-    return ", ".join(f"{name} {min(v):.4g} to {max(v):.4g} {unit}" for (name, unit), v in values.items())
-
-
-def _outcome(e: Episode) -> str:
-    o = e.outcome
-    return " ".join([o.label, f"(by {o.judged_by})", *(x for x in (o.trigger, o.family, o.reason) if x)])
-
-
-def _some(names: Sequence[str], full: bool) -> str:
-    shown = names if full else names[:FIRST]
-    return ", ".join(shown) + (f" and {len(names) - FIRST} more" if len(names) > len(shown) else "")

@@ -3,6 +3,7 @@
 from collections.abc import Generator, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Self
 
@@ -157,7 +158,7 @@ class Store(Reader):
     def put_blobs(self, sources: Iterable[bytes | Path], *, move: bool = False) -> list[str]:
         """Store many at once, their waits for the disk side by side; sha256s in the order of the sources."""
         with self._latch(), ThreadPoolExecutor(WAITING) as pool:
-            return list(pool.map(lambda source: self._blobs.put(source, move=move), sources))
+            return list(pool.map(partial(self._blobs.put, move=move), sources))
 
     @contextmanager
     def _latch(self) -> Generator[None]:

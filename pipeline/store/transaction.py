@@ -12,6 +12,7 @@ from pipeline.files import sync_folder
 from pipeline.store.blobs import Blobs
 from pipeline.store.folder import FaultPoint, check_id, check_name, inside, shas_in
 from pipeline.store.records import RunInfo, StepManifest
+from pipeline.store.rows import Cell, insert, require
 from schemas.base import Frozen
 from schemas.dataset import DatasetVersion
 from schemas.episode import Episode
@@ -19,8 +20,6 @@ from schemas.hardcase import HardCase
 from schemas.policy import PolicyRecord
 from schemas.release import Release
 from schemas.verdict import Verdict
-
-type Cell = str | int | float | None
 
 
 class Transaction:
@@ -255,37 +254,13 @@ class Transaction:
                 )
 
     def _require(self, table: str, id: str, where: str) -> None:
-        if self._db.execute(f"SELECT 1 FROM {table} WHERE id = ?", (id,)).fetchone() is None:
-            raise StoreError(
-                f"{table} {id} is not in the store", where=where, mend=f"add the {table} first, or in the same commit"
-            )
+        require(self._db, table, id, where)
 
     def _insert(self, table: str, value: Frozen, /, *, key: tuple[str, ...] = ("id",), **row: Cell) -> None:
         if self._db.execute("SELECT 1 FROM run WHERE id = ?", (self._run,)).fetchone() is None:
             raise StoreError(
                 f"run {self._run} is not in the store", where=f"{table} of it", mend="start it through: hardcase loop"
             )
-        text = value.model_dump_json()
-        marks = ", ".join("?" * (len(row) + 1))
-        added = self._db.execute(
-            f"INSERT INTO {table} ({', '.join(row)}, json) VALUES ({marks}) ON CONFLICT DO NOTHING",
-            (*row.values(), text),
-        ).rowcount
-        if not added:
-            match = " AND ".join(f"{k} = ?" for k in key)
-            (old,) = self._db.execute(f"SELECT json FROM {table} WHERE {match}", tuple(row[k] for k in key)).fetchone()
-            if old != text:
-                _refuse_change(table, [str(row[k]) for k in key], type(value).model_validate_json(old), value)
+        insert(self._db, table, value, key, row)
         if "id" in row:
             self._members.append((table, str(row["id"])))
-
-
-def _refuse_change(table: str, key: list[str], old: Frozen, new: Frozen) -> None:
-    fields = [name for name in type(new).model_fields if getattr(old, name) != getattr(new, name)]
-    if fields:  # none: only the spelling differs, such as a field that a later schema gave a default
-        raise StoreError(
-            f"{table} {' '.join(key)} is in the store with another {', '.join(fields)}",
-            where=f"{table} {' '.join(key)}",
-            mend="what is stored never changes; code or inputs changed under one id: use another folder"
-            " (HARDCASE_STORE=/a/local/folder) or take the change back",
-        )

@@ -38,8 +38,14 @@ def one_step(store, small):
 
 
 def content(store, small):
-    return (store.episodes(), store.versions(), store.policies(), store.releases(small.run),
-            [s.model_dump() for s in store.steps(small.run)], sorted(p.name for p in store.root.glob("blobs/*")))
+    return (
+        store.episodes(),
+        store.versions(),
+        store.policies(),
+        store.releases(small.run),
+        [s.model_dump() for s in store.steps(small.run)],
+        sorted(p.name for p in store.root.glob("blobs/*")),
+    )
 
 
 @pytest.fixture
@@ -53,7 +59,15 @@ def whole(tmp_path, small):
 def test_a_kill_before_any_fsync_rename_or_commit_leaves_a_step_whole_or_absent(tmp_path, small, in_child, whole):
     names, wanted = whole
     print(f"seed {small.seed}, {len(names)} points: {names}")
-    assert {"migrate 1", "fsync blob", "rename blob", "fsync blob folder", "fsync file", "fsync folder", "commit"} <= set(names)
+    assert {
+        "migrate 1",
+        "fsync blob",
+        "rename blob",
+        "fsync blob folder",
+        "fsync file",
+        "fsync folder",
+        "commit",
+    } <= set(names)
     for point, name in enumerate(names):
         root = tmp_path / f"killed-{point}"
 
@@ -90,10 +104,10 @@ def test_a_full_disk_at_any_write_is_said_and_latched(root, small, name, whole):
         armed = False
         if store.step(small.run, 0, "collect") is None:
             assert store.episodes() == []
-        with store.lease(small.run) as lease, pytest.raises(StoreError, match="no space left"):
-            with store.commit(lease) as tx:  # a stage that overlooked the error must not mark itself finished
-                tx.add_run(small.info())
-                tx.finish_step(0, "collect")
+        # a stage that overlooked the error must not mark itself finished
+        with store.lease(small.run) as lease, pytest.raises(StoreError, match="no space"), store.commit(lease) as tx:
+            tx.add_run(small.info())
+            tx.finish_step(0, "collect")
     assert list((root / "tmp").iterdir()) == []
     with Store.open(root) as store:
         one_step(store, small)
@@ -135,6 +149,7 @@ def test_four_killed_writers_lose_nothing_that_was_acknowledged(store, small, ch
         for life in range(4):
             pipes = [os.pipe() for _ in range(4)]
             for worker, (_, out) in enumerate(pipes):
+
                 def body(out=out, first=1_000_000 * (4 * life + worker)):
                     with Store.open(store.root) as own:
                         for k in range(first, first + 100_000):

@@ -13,9 +13,20 @@ def test_a_policy_is_walked_back_to_its_recordings(store, small):
     policy = small.lap(store)
     text = render(why(store, policy.id, full=True))
     demos = store.episodes(origin="scripted")
-    for wanted in [policy.dataset, policy.config, policy.code, small.run, "recipe: smoke", "commit abc1234", "mujoco 4.0.0",
-                   "friction 0.4 1", "number 1", "BOOTSTRAP", *(e.blob for e in demos),
-                   *(e.id for e in store.episodes(origin="retargeted"))]:
+    for wanted in [
+        policy.dataset,
+        policy.config,
+        policy.code,
+        small.run,
+        "recipe: smoke",
+        "commit abc1234",
+        "mujoco 4.0.0",
+        "draws: friction 0.4\n",
+        "number 1",
+        "BOOTSTRAP",
+        *(e.blob for e in demos),
+        *(e.id for e in store.episodes(origin="retargeted")),
+    ]:
         assert wanted in text
     for demo in demos:
         assert store.blob(demo.blob).is_file()
@@ -26,7 +37,7 @@ def test_the_summary_counts_instead_of_listing(store, small):
     text = render(why(store, policy.id))
     assert "episodes: 160, 1600 frames" in text
     assert "parents: 80:" in text and "and 77 more" in text
-    assert "draws: friction 1.4 to 2.99 1" in text
+    assert "draws: friction 1.4 to 2.99\n" in text
     assert f"step: train of generation 0, code {sha256(b'code')}" in text
     assert len(text.splitlines()) < 60
     assert len(render(why(store, policy.id, full=True)).splitlines()) > 240 * 5
@@ -72,8 +83,14 @@ def test_json_says_the_same(store, small):
     assert {c["kind"] for c in told["children"]} == {"run", "verdict", "version"}
 
 
-@pytest.mark.parametrize("wrong, message", [("0" * 8, "is not in the store(.|\n)*(nearest|the last)"),
-                                            ("abc", "8 to 16 hex digits"), ("../../x", "not a valid id")])
+@pytest.mark.parametrize(
+    "wrong, message",
+    [
+        ("0" * 8, "is not in the store(.|\n)*(nearest|the last)"),
+        ("abc", "8 to 16 hex digits"),
+        ("../../x", "not a valid id"),
+    ],
+)
 def test_what_cannot_be_found_is_said_in_one_error(store, small, wrong, message):
     small.lap(store)
     with pytest.raises(StoreError, match=message):

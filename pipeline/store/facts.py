@@ -1,0 +1,78 @@
+"""Single facts of a lineage, as text."""
+
+from collections.abc import Iterable, Sequence
+from json import dumps
+
+from pipeline.store.reader import Reader
+from schemas.episode import Episode
+
+FIRST = 3
+"""Ids that a summary shows of a group."""
+
+
+def made(store: Reader, kind: str, id: str) -> dict[str, str]:
+    """The step that added a row, and its code."""
+    rows = store.query(
+        "SELECT run, generation, stage FROM member WHERE kind = ? AND id = ? AND stage NOT NULL", (kind, id)
+    )
+    for run, generation, stage in rows:
+        step = store.step(str(run), int(str(generation)), str(stage))
+        if step:
+            code = f", code {step.code}" if step.code else ""
+            return {"step": f"{step.stage} of generation {step.generation}{code}"}
+    return {}
+
+
+def codes(store: Reader, ids: list[str]) -> str:
+    """Code hashes of the steps that added some episodes, by stage and generation."""
+    rows = store.query(
+        "SELECT DISTINCT step.generation, step.stage, json_extract(step.json, '$.code') FROM member JOIN step"
+        " ON (step.run, step.generation, step.stage) = (member.run, member.generation, member.stage)"
+        " WHERE member.kind = 'episode' AND member.id IN (SELECT value FROM json_each(?)) ORDER BY 1, 2",
+        (dumps(ids),),
+    )
+    return ", ".join(f"{stage} of generation {generation} {code}" for generation, stage, code in rows if code)
+
+
+def users(store: Reader, id: str, full: bool) -> dict[str, str]:
+    """Forward: the dataset versions that hold an episode, and the policies that saw it."""
+    rows = store.query(
+        "SELECT version.id, policy.id FROM version_episode JOIN version ON version.id = version_episode.version"
+        " LEFT JOIN policy ON policy.dataset = version.id WHERE episode = ? ORDER BY version.place, policy.place",
+        (id,),
+    )
+    versions = list(dict.fromkeys(str(v) for v, _ in rows))
+    policies = [str(p) for _, p in rows if p]
+    return {"in versions": some(versions, full) or "none", "seen by policies": some(policies, full) or "none"}
+
+
+def releases(store: Reader, policy: str) -> dict[str, str]:
+    """When and in which run a policy became the champion."""
+    rows = store.query("SELECT run, number, json_extract(json, '$.kind') FROM release WHERE policy = ?", (policy,))
+    return {"released": ", ".join(f"number {n} of run {run} ({kind})" for run, n, kind in rows)} if rows else {}
+
+
+def draw_ranges(episodes: Iterable[Episode]) -> str:
+    """Smallest and largest value of every randomization, with its unit."""
+    values: dict[tuple[str, str], list[float]] = {}
+    for e in episodes:
+        for d in e.scene.draws:
+            values.setdefault((d.name, d.unit), []).append(d.value)
+    return ", ".join(f"{name} {min(v):.4g} to {max(v):.4g}{unit_of(unit)}" for (name, unit), v in values.items())
+
+
+def unit_of(unit: str) -> str:
+    """A unit as it follows its number; what has none is left without."""
+    return "" if unit == "1" else f" {unit}"
+
+
+def outcome(e: Episode) -> str:
+    """How an attempt ended, in words."""
+    o = e.outcome
+    return " ".join([o.label, f"(by {o.judged_by})", *(x for x in (o.trigger, o.family, o.reason) if x)])
+
+
+def some(names: Sequence[str], full: bool) -> str:
+    """The first few names and a count of the rest, or all of them."""
+    shown = names if full else names[:FIRST]
+    return ", ".join(shown) + (f" and {len(names) - FIRST} more" if len(names) > len(shown) else "")
