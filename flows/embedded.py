@@ -26,6 +26,7 @@ QUIET = {
     "PREFECT_SERVER_UI_ENABLED": "false",
     "PREFECT_SERVER_REGISTER_BLOCKS_ON_START": "false",  # 1 s of a fresh start; nothing here uses blocks
     "PREFECT_LOGGING_LEVEL": "CRITICAL",
+    "PREFECT_LOGGING_INTERNAL_LEVEL": "CRITICAL",
     "PREFECT_SERVER_LOGGING_LEVEL": "CRITICAL",
     "PREFECT_LOGGING_TO_API_ENABLED": "false",
     "PREFECT_RESULTS_PERSIST_BY_DEFAULT": "false",
@@ -89,7 +90,7 @@ class EmbeddedPrefect:
         lines = log.read_text(errors="replace").strip().splitlines() if log.exists() else []
         reason = lines[-1] if lines else "no message"
         raise HardcaseError(
-            f"the embedded Prefect server ended (exit {self.process.returncode}): {reason}",
+            f"the embedded Prefect server ended, exit code {self.process.returncode}: {reason}",
             where=log,
             mend="hardcase loop --resume goes on where it stopped; a damaged database: remove the folder of this log",
         )

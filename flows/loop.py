@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from prefect import flow, get_run_logger
@@ -42,7 +43,7 @@ def closed_loop(
         steps, last = now.steps, now.steps.recipe.generations
         turn(last)
         if steps.control is not None:
-            with run_with(steps.control, now.watcher, "control"):
+            with run_with(replace(now, steps=steps.control, arm="control")):
                 turn(last)
         (page,) = report(last)
         show(steps, page)
@@ -106,5 +107,7 @@ def _opened(
     if seed is None:
         seed = scheduled_day()
     order = order_of(recipe, generations, seed, twin, control=control)
-    with open_order(order, Path(store) if store else store_root()) as steps, run_with(steps, LogWatcher()) as active:
+    with open_order(order, Path(store) if store else store_root()) as steps, run_with(
+        Running(steps, LogWatcher())
+    ) as active:
         yield active

@@ -1,6 +1,6 @@
 """What is being run in this process: the arm whose stages the tasks call, and who watches."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -42,6 +42,8 @@ class Running:
     steps: LoopSteps
     watcher: Watcher
     arm: str = "loop"
+    check: Callable[[], None] = lambda: None
+    """Called before each stage; raises if there is a reason not to begin it."""
 
 
 _RUNNING: ContextVar[Running] = ContextVar("running")
@@ -53,9 +55,8 @@ def running() -> Running | None:
 
 
 @contextmanager
-def run_with(steps: LoopSteps, watcher: Watcher, arm: str = "loop") -> Iterator[Running]:
-    """Let every task called in the block work on `steps`; tasks carry ids and nothing else."""
-    active = Running(steps, watcher, arm)
+def run_with(active: Running) -> Iterator[Running]:
+    """Let every task called in the block work for `active`; tasks carry ids and nothing else."""
     token = _RUNNING.set(active)
     try:
         yield active

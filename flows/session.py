@@ -15,7 +15,7 @@ from flows.display import Display, show_result
 from flows.embedded import EmbeddedPrefect, embedded
 from flows.memory import MemoryWatch
 from flows.opening import Order, open_order
-from flows.running import run_with
+from flows.running import Running, run_with
 from flows.steps_api import LoopSteps
 from pipeline.errors import HardcaseError
 from pipeline.files import atomic
@@ -41,7 +41,7 @@ def run_loop(order: Order, root: Path, *, json: Path | None, browse: bool) -> Lo
         with (
             open_order(order, root) as steps,
             Display(order.recipe, Console(stderr=True), control=order.control) as display,
-            run_with(steps, display),
+            run_with(Running(steps, display, check=server.require if server else _nothing)),
         ):
             _turn(server)
             result = _measured(steps, memory)
@@ -73,6 +73,10 @@ def _turn(server: EmbeddedPrefect | None) -> None:
         if server is not None:
             server.require()
         raise
+
+
+def _nothing() -> None:
+    """The user's own server is the user's to watch."""
 
 
 def _measured(steps: LoopSteps, memory: MemoryWatch) -> LoopResult:

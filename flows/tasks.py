@@ -38,6 +38,7 @@ def _run(stage: str, generation: int, pick: Callable[[LoopSteps], Callable[[int,
     active = running()
     if active is None:
         raise RuntimeError(f"task {stage!r} was called outside of closed_loop")
+    active.check()
     step = Step(active.arm, generation, stage)
     active.watcher.begin(step)
     result = pick(active.steps)(generation, active.watcher.advance)

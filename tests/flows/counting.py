@@ -1,7 +1,7 @@
 """The command line over a loop whose stages only count, on a real store: run as a program by the tests beside it.
 
 It stands in for flows.steps and nothing else: flow, tasks, Prefect, store, display and exit codes are the real ones.
-Environment: COUNTING_LOG (a line for each begin and end), COUNTING_SLEEP_S, COUNTING_FAIL and COUNTING_CRASH ('train 1').
+Environment: COUNTING_LOG (a line for each begin and end), COUNTING_SLEEP_S, COUNTING_FAIL, COUNTING_CRASH ('train 1').
 """
 
 import os
@@ -26,9 +26,8 @@ class CountingSteps:
         self.store, self.lease, self.recipe, self.arm, self.control = store, lease, recipe, arm, control
         self.seed, self.twin = seed, twin
         self.run = short_id(recipe.model_dump_json(), seed, twin, arm)
-        info = RunInfo(
-            recipe_name=recipe.name, recipe=recipe.model_dump(mode="json"), seed=seed, twin=twin, control=arm, command="t"
-        )
+        numbers = recipe.model_dump(mode="json")
+        info = RunInfo(recipe_name=recipe.name, recipe=numbers, seed=seed, twin=twin, control=arm, command="test")
         with store.commit(lease, self.run) as tx:
             tx.add_run(info)
 
@@ -46,7 +45,8 @@ class CountingSteps:
             time.sleep(float(os.environ.get("COUNTING_SLEEP_S", "0")) / 10)
             progress(tick + 1, 10)
         if os.environ.get("COUNTING_FAIL") == f"{stage} {generation}":
-            raise SimulationError("the arm went through the table", where=f"{stage} {generation}", mend="lower the gain")
+            where = f"{stage} {generation}"
+            raise SimulationError("the arm went through the table", where=where, mend="lower the gain")
         if os.environ.get("COUNTING_CRASH") == f"{stage} {generation}":
             raise ZeroDivisionError("not meant to happen")
         id = short_id(self.run, generation, stage)
