@@ -71,7 +71,7 @@ def mcnemar(fixed: int, broken: int) -> McNemar:
     Raises:
         ConfigError: a count below 0.
 
-    Source: McNemar 1947, Psychometrika 12:153; exact form in Fay and Lumbard 2020, Statistics in Medicine 40:1147.
+    Source: McNemar 1947, Psychometrika 12:153; exact form in Fay and Lumbard 2021, Statistics in Medicine 40:1147.
     """
     if fixed < 0 or broken < 0:
         raise ConfigError(f"{fixed} fixed and {broken} broken scenes are no counts", where="mcnemar",
@@ -129,7 +129,7 @@ def loss_upper(fixed: int, broken: int, n: int, alpha: float) -> float:
     Raises:
         ConfigError: more discordant scenes than scenes, or alpha outside (0, 0.5).
 
-    Source: Buehler 1957, JASA 52:482; Lloyd and Kabaila 2003, Australian & New Zealand J. Statistics 45:395;
+    Source: Buehler 1957, JASA 52:482 (the smallest bound that respects an order and always covers);
     Berger and Boos 1994, JASA 89:1012; Hsueh, Liu, Chen 2001, Biometrics 57:478 (this test, for one margin).
     """
     if min(fixed, broken) < 0 or fixed + broken > n or not 0 < alpha < 0.5:
