@@ -2,7 +2,7 @@
 
 Two policies of known success rates play interleaved strata; their outcomes on a scene correlate by `shared`, because
 hard scenes are hard for both (0 is the worst case). Prints how often the gate says PASS by each look, how often FAIL,
-and how many scenes it plays on average. Fixed seeds; about two minutes on one core.
+and how many scenes it plays on average. Fixed seeds; several minutes on one core.
 """
 
 from dataclasses import dataclass, field
@@ -106,7 +106,7 @@ def test_operating_characteristics(capsys):
     with capsys.disabled():
         print(f"\n{'case':<46}{'PASS by 200':>12}{'by 400':>8}{'in all':>8}{'FAIL':>7}{'scenes':>8}")
         for case in CASES:
-            found = play(case, 1000 if case.limit is None else 2000)
+            found = play(case, 500 if case.limit is None else 1000)
             total = found[str(case.config.looks[-1])]
             print(f"{case.name:<46}{found['200']:12.3f}{found['400']:8.3f}{total:8.3f}{found['FAIL']:7.3f}"
                   f"{found['scenes']:8.0f}", flush=True)

@@ -5,9 +5,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 from math import sqrt
 from statistics import NormalDist
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]
 from scipy.special import bdtr, bdtrc, betaincinv, gammaln, xlog1py, xlogy  # pyright: ignore[reportMissingTypeStubs]
 
 from pipeline.errors import ConfigError
@@ -173,15 +175,16 @@ def _worst_tail(largest: NDArray[np.int_], n: int, loss: float, low: float, high
 
 def _tail(largest: NDArray[np.int_], n: int, loss: float, discordance: Rates) -> Rates:
     """P(broken <= largest[fixed]) at each discordance rate: fixed is binomial, broken given fixed is too."""
-    p_fixed, p_broken = (discordance - loss)[:, None] / 2, (discordance + loss)[:, None] / 2
-    top = float(p_fixed.max())
-    reach = min(n, int(n * top + 9 * sqrt(n * top * (1 - top)) + 12))  # beyond it less than 1e-15 is left
-    fixed = np.arange(reach + 1)
-    kept = fixed[largest[: reach + 1] >= 0]
+    p_fixed = np.clip((discordance - loss)[:, None] / 2, 0, 1)
+    p_broken = (discordance + loss)[:, None] / 2
+    least, most = float(p_fixed.min()), float(p_fixed.max())
+    start = max(0, int(n * least - 9 * sqrt(n * least * (1 - least)) - 12))
+    stop = min(n, int(n * most + 9 * sqrt(n * most * (1 - most)) + 12)) + 1  # outside less than 1e-15 is left
+    fixed = np.arange(start, stop)
+    kept = fixed[largest[start:stop] >= 0]
     share = np.clip(p_broken / np.maximum(1 - p_fixed, 1e-12), 0, 1)
     tail = bdtr(largest[kept].astype(np.float64), n - kept, np.broadcast_to(share, (share.size, kept.size)))
     ways = gammaln(n + 1) - gammaln(kept + 1) - gammaln(n - kept + 1)
-    p_fixed = np.clip(p_fixed, 0, 1)
     return (np.exp(ways + xlogy(kept, p_fixed) + xlog1py(n - kept, -p_fixed)) * tail).sum(axis=1)
 
 
@@ -192,7 +195,7 @@ def _clopper_pearson(count: int, n: int, alpha: float) -> tuple[float, float]:
 
 
 def _crossing(falling: Callable[[float], float], low: float, high: float) -> float:
-    """The point where a falling function meets 0, to 1e-6 on the high side; the bracket is widened if need be."""
+    """The point where a falling function meets 0, to 1e-7 and on the high side; the bracket is widened if need be."""
     low, high = max(low, -1.0 + 1e-9), min(high, 1.0 - 1e-9)
     while falling(high) > 0:
         if high >= 1 - 1e-9:
@@ -200,7 +203,4 @@ def _crossing(falling: Callable[[float], float], low: float, high: float) -> flo
         low, high = high, min(1 - 1e-9, high + 0.1)
     while falling(low) <= 0 and low > -1 + 1e-9:
         low, high = max(-1 + 1e-9, low - 0.1), low
-    while high - low > 1e-6:
-        middle = (low + high) / 2
-        low, high = (middle, high) if falling(middle) > 0 else (low, middle)
-    return high
+    return min(1.0, cast(float, brentq(falling, low, high, xtol=1e-7)) + 1e-7)
