@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from flows.steps_api import LoopSteps
-from pipeline.errors import StoreError
+from pipeline.errors import ConfigError, StoreError
 from pipeline.recipes import load_recipe, recipe_from
 from pipeline.store import RunInfo, Store
 from schemas.recipe import Recipe
@@ -64,7 +64,29 @@ def _same_numbers(one: RunInfo, other: RunInfo) -> bool:
 
 
 def open_order(order: Order, root: Path) -> AbstractContextManager[LoopSteps]:
-    """Open the store under its lock and wire the stages to it; imported late, they bring MuJoCo and torch along."""
+    """Open the store under its lock and wire the stages to it; imported late, they bring MuJoCo and torch along.
+
+    Raises:
+        ConfigError: the recipe names a robot, scene or task that there is not; every valid name is listed.
+        StoreError: another loop holds the store, or it cannot be used.
+    """
+    check_names(order.recipe)
     from flows.steps import open_run
 
     return open_run(root, order.recipe, seed=order.seed, twin=order.twin, control=order.control)
+
+
+def check_names(recipe: Recipe) -> None:
+    """Refuse names that are in no table, before anything is begun."""
+    from pipeline.simulation.bodies import ROBOTS
+    from pipeline.simulation.scenes import SCENES
+    from pipeline.simulation.tasks import TASKS
+
+    tables = (("robot", recipe.robot, ROBOTS), ("scene", recipe.scene, SCENES), ("task", recipe.task, TASKS))
+    for kind, name, table in tables:
+        if name not in table:
+            raise ConfigError(
+                f"unknown {kind} {name!r}",
+                where=f"recipe {recipe.name}, {kind}",
+                mend=f"use one of: {', '.join(sorted(table))}",
+            )
