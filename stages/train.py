@@ -1,18 +1,21 @@
 """Train: a dataset version becomes a policy: lerobot checkpoint, ONNX file, and the record of both."""
 
 import shutil
-from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pipeline
 from pipeline.errors import PolicyError
 from pipeline.files import atomic, sha256, sha256_file, short_id, source_hash, sync_folder
 from pipeline.policies.resuming import newest
-from pipeline.policies.table import policy_kind
-from pipeline.policies.training import Fitted, TrainingSource
+from pipeline.policies.source import TrainingSource
+from pipeline.policies.table import Progress, policy_kind
 from schemas.dataset import DatasetVersion
 from schemas.policy import PolicyRecord
 from schemas.recipe import TrainConfig
+
+if TYPE_CHECKING:
+    from pipeline.policies.training import Fitted
 
 FOLDER = "policies"
 """Where policies lie, relative to the store's root."""
@@ -22,7 +25,7 @@ ONNX = "policy.onnx"
 
 
 def train(version: DatasetVersion, data: TrainingSource, config: TrainConfig, *, seed: int, store: Path,
-          progress: Callable[[int, int, float], None] | None = None) -> PolicyRecord:
+          progress: Progress | None = None) -> PolicyRecord:
     """Train the policy that config and seed ask for, or return it if it is already there.
 
     The id follows from version, config, seed and code. A training that was killed goes on from its last
@@ -93,7 +96,7 @@ def _hashes(folder: Path) -> dict[str, str]:
     return {path.name: sha256_file(path) for path in sorted(folder.iterdir())}
 
 
-def _metrics(fitted: Fitted) -> dict[str, float]:
+def _metrics(fitted: "Fitted") -> dict[str, float]:
     losses = {"train_loss": fitted.train_loss, "held_out_loss": fitted.held_out_loss}
     return {name: curve[-1][1] for name, curve in losses.items() if curve} | {
         "parameters": float(sum(weights.size for weights in fitted.weights.values()))}

@@ -1,8 +1,9 @@
 """The chunked policy as lerobot knows it: config, policy and processors.
 
 This is the one file of ours with lerobot's `register_subclass` for policies; lerobot's command lines
-reach it by `--policy.discover_packages_path=pipeline.policies`. lerobot's factory looks for the policy
-class and the processors' maker in the module of the config class, so the three stand together.
+reach it by `--policy.discover_packages_path=pipeline.policies`, or as lerobot_env.py says. lerobot's factory
+looks for the policy class and the processors' maker in the module of the config class, so the three stand
+together.
 """
 
 from dataclasses import dataclass, field

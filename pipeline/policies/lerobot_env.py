@@ -1,11 +1,13 @@
 """Our environment as lerobot knows it, so that lerobot's own command runs a checkpoint of ours:
 
-    lerobot-eval --policy.discover_packages_path=pipeline.policies --policy.path=CHECKPOINT \\
-        --env.discover_packages_path=pipeline.policies --env.type=hardcase \\
+    lerobot-eval --policy.path=CHECKPOINT --env.discover_packages_path=pipeline.policies --env.type=hardcase \\
         --eval.n_episodes=200 --eval.batch_size=50 --eval.use_async_envs=false --seed=1000 --output_dir=OUTPUT
 
-Run it where `pipeline` can be imported: in the repository, or with Hardcase installed. Episode k starts from
-`reset(seed=1000 + k)`; OUTPUT/eval_info.json lists the success of each.
+Run it where `pipeline` can be imported: with PYTHONPATH at the repository, or with Hardcase installed. The one
+discover_packages_path finds the policy too: it imports every module of the package, and lerobot 0.6.1 takes
+--policy.discover_packages_path together with --policy.path for an option of the policy and stops. Episode k
+starts from `reset(seed=1000 + k)`; OUTPUT/eval_info.json lists the success of each, and the first ten are
+filmed, which cannot be turned off.
 
 This is the one file of ours with lerobot's `register_subclass` for environments.
 """
@@ -30,6 +32,8 @@ class HardcaseEnv(EnvConfig):
     fps: int = 20
     episode_length: int = 200
     """Length limit of an attempt [ticks]."""
+    render_mode: str = "rgb_array"
+    """lerobot-eval films the first ten episodes whatever it is told."""
     features: dict[str, PolicyFeature] = field(default_factory=lambda: {
         ACTION: PolicyFeature(FeatureType.ACTION, (len(frames.ACTION),)),
         "agent_pos": PolicyFeature(FeatureType.STATE, (len(frames.STATE),)),
@@ -49,7 +53,7 @@ class HardcaseEnv(EnvConfig):
     @override
     def gym_kwargs(self) -> dict[str, Any]:
         """What gymnasium.make is told besides the id."""
-        return {"max_episode_steps": self.episode_length}
+        return {"max_episode_steps": self.episode_length, "render_mode": self.render_mode}
 
     @override
     def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict[str, dict[int, Any]]:

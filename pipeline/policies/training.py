@@ -11,12 +11,10 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 import torch
 import torch.nn.functional as F
-from numpy.typing import NDArray
 from torch import Tensor
 
 from pipeline.errors import PolicyError
@@ -25,32 +23,17 @@ from pipeline.frames import ACTION, ENVIRONMENT, STATE
 from pipeline.policies.network import ChunkedNet, Shape, Weights, array, tensor
 from pipeline.policies.optimiser import FlatAdamW, one_cycle
 from pipeline.policies.resuming import VECTORS, Curve, Progress, load_progress, save_progress
+from pipeline.policies.source import F32, Batch, TrainingSource
 from schemas.recipe import TrainConfig
-
-type F32 = NDArray[np.float32]
-type Batch = tuple[F32, F32, F32, NDArray[np.bool_]]
-"""state (b, 16), environment (b, 7), actions (b, chunk, 5) and mask (b, chunk), False where an episode has ended."""
 
 STEPS_A_BLOCK = 20
 POINTS = 15
 """Points of the loss curves."""
 STATISTICS_ROWS, HELD_OUT_ROWS = 16384, 2048
-FEATURE_FLOOR, ACTION_FLOOR = 0.01, 1e-4
+FEATURE_FLOOR, ACTION_FLOOR = 0.03, 1e-4
 """Smallest standard deviation [m, rad or 1]: what hardly varied in training must not shout on the robot."""
 FRESH, STATISTICS, TRAIN = range(3)
 """Independent streams of randomness under one seed."""
-
-
-class TrainingSource(Protocol):
-    """A dataset version as training sees it; see pipeline.lerobot_view.training_data.TrainingData."""
-
-    def sample(self, rng: np.random.Generator, batch: int, chunk: int) -> Batch:
-        """Draw `batch` frames with their next `chunk` actions, sources by weight; equal generators, equal batches."""
-        ...
-
-    def held_out(self, chunk: int) -> Batch:
-        """Every sample of the validation split; may be empty."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +63,8 @@ def _deterministic(threads: int) -> Generator[None]:
     torch.set_num_threads(threads)
     torch.use_deterministic_algorithms(True)
     try:
-        with torch.random.fork_rng(devices=[]):  # PyTorch draws weights of its own before we set ours
+        with torch.random.fork_rng(devices=[]):  # pyright: ignore[reportUnknownMemberType]
+            # PyTorch draws weights of its own before we set ours.
             yield
     finally:
         torch.set_num_threads(before)

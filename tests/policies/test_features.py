@@ -39,7 +39,8 @@ def test_features_say_what_their_names_say():
                     "cmd_gripper": 0.01, "target_z": 0.02})
     want = {"linear gripper-None": 0.03, "linear object_x-ee_x": 0.01, "linear cmd_x-ee_x": -0.02,
             "linear target_z-object_z": 0.02, "tanh object_x-ee_x": np.tanh(0.4),
-            "tanh gripper-cmd_gripper": np.tanh(0.8), "sin object_yaw-ee_yaw": np.sin(0.4), "cos object_yaw-ee_yaw": np.cos(0.4)}
+            "tanh gripper-cmd_gripper": np.tanh(0.8),
+            "sin object_yaw-ee_yaw": np.sin(0.4), "cos object_yaw-ee_yaw": np.cos(0.4)}
     assert np.allclose([got[name] for name in want], list(want.values()), atol=1e-5)
 
 

@@ -1,3 +1,5 @@
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -76,3 +78,10 @@ def test_an_unknown_kind_of_policy_is_refused_before_anything_is_written(tmp_pat
     with pytest.raises(ConfigError, match="use one of: chunked"):
         train(VERSION, reaching, small.model_copy(update={"policy": "act"}), seed=0, store=tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+def test_importing_the_stage_waits_for_no_torch():
+    code = "import sys, stages.train; print(sorted({'torch', 'lerobot', 'onnx'} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).parents[2], capture_output=True, text=True,
+                          check=True)
+    assert done.stdout == "[]\n"
