@@ -70,6 +70,11 @@ def counting(tmp_path: Path) -> CountingLoop:
     return CountingLoop(tmp_path)
 
 
+@pytest.fixture(scope="session")
+def counting_in() -> type[CountingLoop]:
+    return CountingLoop
+
+
 @pytest.fixture
 def eventually() -> Callable[..., None]:
     return wait_until

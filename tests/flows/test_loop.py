@@ -11,42 +11,51 @@ from pipeline.recipes import load_recipe
 from schemas.summary import LoopResult
 
 
+PLAN = plan(load_recipe("smoke"), control=True)
+
+
 def begun(counting) -> list[str]:
     return [line.removeprefix("begin ") for line in counting.lines() if line.startswith("begin ")]
 
 
-def test_the_loop_turns_in_the_order_that_the_display_announces(counting):
-    done = counting.run("loop", "--recipe", "smoke", "--control")
-    assert done.returncode == 0, done.stderr
-    announced = plan(load_recipe("smoke"), control=True)
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory, counting_in):
+    """One whole loop with its control: what was printed and what it left."""
+    counting = counting_in(tmp_path_factory.mktemp("finished"))
+    counting.done = counting.run("loop", "--recipe", "smoke", "--control", "--json", str(counting.folder / "r.json"))
+    assert counting.done.returncode == 0, counting.done.stderr
+    return counting
+
+
+def test_the_loop_turns_in_the_order_that_the_display_announces(finished):
     arms = {"loop": "", "control": "random"}
-    assert begun(counting) == [f"{arms[step.arm]}{step.generation} {step.stage}" for step in announced]
+    assert begun(finished) == [f"{arms[step.arm]}{step.generation} {step.stage}" for step in PLAN]
 
 
-def test_a_finished_loop_shows_the_table_and_writes_json(counting, tmp_path):
-    done = counting.run("loop", "--recipe", "smoke", "--generations", "2", "--json", str(tmp_path / "r.json"))
-    result = LoopResult.model_validate_json((tmp_path / "r.json").read_text())
-    assert [lap.generation for lap in result.generations] == [0, 1, 2]
+def test_a_finished_loop_shows_the_table_and_writes_json(finished):
+    result = LoopResult.model_validate_json((finished.folder / "r.json").read_text())
+    assert [lap.generation for lap in result.generations] == [0, 1]
     assert result.wall_s > 0.5
     assert 50 < result.peak_pss_mb < 2000
-    for words in ("common", "rare", ".500 [.40 .60]", "3 fixed, 1 broken", "Report: "):
-        assert words in done.stdout
-    assert all(len(line) <= 80 for line in done.stdout.splitlines() if not line.startswith("Report:"))
+    out = finished.done.stdout
+    for words in ("common", "rare", ".500 [.40 .60]", "Control", "3 fixed, 1 broken", "Report: "):
+        assert words in out
+    assert all(len(line) <= 80 for line in out.splitlines() if not line.startswith("Report:"))
 
 
-def test_nothing_but_one_line_a_stage_reaches_stderr(counting):
-    done = counting.run("loop", "--recipe", "smoke")
-    assert len(done.stderr.splitlines()) == len(plan(load_recipe("smoke"), control=False))
-    assert all(re.match(r"generation \d/1  \w+ +(\d+\.\d s|kept)  \w+$", line) for line in done.stderr.splitlines())
+def test_nothing_but_one_line_a_stage_reaches_stderr(finished):
+    lines = finished.done.stderr.splitlines()
+    assert len(lines) == len(PLAN)
+    assert all(re.match(r"(control )?generation \d/1  \w+ +\d+\.\d s  \w+$", line) for line in lines)
 
 
-def test_prefect_remembers_every_stage_as_a_finished_task(counting):
-    counting.run("loop", "--recipe", "smoke")
-    runs = sqlite3.connect(counting.store / ".prefect/prefect.db")
-    stages = len(plan(load_recipe("smoke"), control=False))
+def test_prefect_remembers_every_stage_as_a_finished_task(finished):
+    runs = sqlite3.connect(finished.store / ".prefect/prefect.db")
     assert runs.execute("SELECT state_name, count(*) FROM flow_run GROUP BY 1").fetchall() == [("Completed", 1)]
-    assert runs.execute("SELECT state_name, count(*) FROM task_run GROUP BY 1").fetchall() == [("Completed", stages)]
+    assert runs.execute("SELECT state_name, count(*) FROM task_run GROUP BY 1").fetchall() == [("Completed", len(PLAN))]
     assert runs.execute("SELECT key FROM artifact ORDER BY key").fetchall() == [("report",), ("success-by-generation",)]
+    names = {name for (name,) in runs.execute("SELECT name FROM task_run")}
+    assert {"gate 1", "control gate 1", "report 1"} <= names
 
 
 @pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM], ids=["Ctrl-C", "SIGTERM"])
