@@ -23,6 +23,9 @@ FOLDER = "policies"
 ONNX = "policy.onnx"
 """Name of the released form inside a checkpoint folder."""
 
+RECORD = "hardcase.json"
+"""Name of the policy's record inside its folder; the one file that it does not name itself."""
+
 
 def train(version: DatasetVersion, data: TrainingSource, config: TrainConfig, *, seed: int, store: Path,
           progress: Progress | None = None) -> PolicyRecord:
@@ -46,7 +49,7 @@ def train(version: DatasetVersion, data: TrainingSource, config: TrainConfig, *,
     kind = policy_kind(config.policy)
     code = code_hash(config)
     policy = short_id("policy", version.id, config.model_dump_json(), seed, code)
-    target, note = store / FOLDER / policy, store / FOLDER / f"{policy}.json"
+    target = store / FOLDER / policy
     if target.exists():
         return load_policy(target)
     work, part = (store / FOLDER / f".{policy}.{name}" for name in ("training", "part"))
@@ -60,7 +63,7 @@ def train(version: DatasetVersion, data: TrainingSource, config: TrainConfig, *,
         checkpoint=f"{FOLDER}/{policy}", files=_hashes(part), train_loss=fitted.train_loss,
         held_out_loss=fitted.held_out_loss, onnx_error=error, metrics=_metrics(fitted),
     )
-    with atomic(note) as stream:
+    with atomic(part / RECORD) as stream:
         stream.write(record.model_dump_json(indent=2).encode())
     part.rename(target)
     sync_folder(target.parent)
@@ -75,11 +78,10 @@ def load_policy(folder: Path) -> PolicyRecord:
         PolicyError: a file is missing, changed or too many, or the record is gone.
     """
     mend = f"remove it and train again, the same seed gives the same policy: rm -r {folder} && hardcase train"
-    note = folder.with_name(f"{folder.name}.json")
     try:
-        record = PolicyRecord.model_validate_json(note.read_bytes())
+        record = PolicyRecord.model_validate_json((folder / RECORD).read_bytes())
     except (OSError, ValueError) as error:
-        raise PolicyError("the policy's record is missing or damaged", where=note, mend=mend) from error
+        raise PolicyError("the policy's record is missing or damaged", where=folder / RECORD, mend=mend) from error
     held = _hashes(folder)
     if changed := sorted(name for name, _ in held.items() ^ record.files.items()):
         raise PolicyError(f"policy {record.id}: {changed[0]} is not what was trained", where=folder, mend=mend)
@@ -93,7 +95,7 @@ def code_hash(config: TrainConfig) -> str:
 
 
 def _hashes(folder: Path) -> dict[str, str]:
-    return {path.name: sha256_file(path) for path in sorted(folder.iterdir())}
+    return {path.name: sha256_file(path) for path in sorted(folder.iterdir()) if path.name != RECORD}
 
 
 def _metrics(fitted: "Fitted") -> dict[str, float]:

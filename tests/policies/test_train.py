@@ -19,7 +19,7 @@ VERSION = DatasetVersion(id="0" * 16, digest="1" * 64, recipe="test", generation
 def test_a_training_leaves_a_policy_that_acts(tmp_path, reaching, small):
     record = train(VERSION, reaching, small, seed=5, store=tmp_path)
     folder = tmp_path / record.checkpoint
-    assert record.files == {p.name: sha256_file(p) for p in folder.iterdir()}
+    assert record.files == {p.name: sha256_file(p) for p in folder.iterdir() if p.name != "hardcase.json"}
     assert {"config.json", "model.safetensors", "policy_preprocessor.json", "policy.onnx"} <= set(record.files)
     assert (record.dataset, record.seed, record.generation, record.steps) == (VERSION.id, 5, 2, small.steps)
     assert record.onnx_error < 1e-5
@@ -57,10 +57,10 @@ def test_a_training_that_was_interrupted_ends_in_the_same_policy(tmp_path, reach
     resumed = train(VERSION, reaching, small, seed=5, store=tmp_path / "a", progress=lambda s, *_: steps.append(s))
     assert steps[0] > 80
     assert resumed == train(VERSION, reaching, small, seed=5, store=tmp_path / "b")
-    assert sorted(p.name for p in (tmp_path / "a" / "policies").iterdir()) == [resumed.id, f"{resumed.id}.json"]
+    assert sorted(p.name for p in (tmp_path / "a" / "policies").iterdir()) == [resumed.id]
 
 
-@pytest.mark.parametrize("harm", ["changed", "extra", "missing"])
+@pytest.mark.parametrize("harm", ["changed", "extra", "missing", "no record"])
 def test_a_policy_that_was_tampered_with_is_refused(tmp_path, reaching, small, harm):
     record = train(VERSION, reaching, small, seed=5, store=tmp_path)
     folder: Path = tmp_path / record.checkpoint
@@ -68,9 +68,12 @@ def test_a_policy_that_was_tampered_with_is_refused(tmp_path, reaching, small, h
         (folder / "model.safetensors").write_bytes((folder / "model.safetensors").read_bytes()[:-1] + b"x")
     elif harm == "extra":
         (folder / "extra.py").write_text("print()")
-    else:
+    elif harm == "missing":
         (folder / "policy.onnx").unlink()
-    with pytest.raises(PolicyError, match=rf"is not what was trained(.|\n)*mend: .*rm -r {folder}"):
+    else:
+        (folder / "hardcase.json").unlink()
+    said = rf"(is not what was trained|missing or damaged)(.|\n)*mend: .*rm -r {folder}"
+    with pytest.raises(PolicyError, match=said):
         train(VERSION, reaching, small, seed=5, store=tmp_path)
 
 
