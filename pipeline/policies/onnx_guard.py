@@ -123,16 +123,26 @@ def _check_shapes(model: onnx.ModelProto, path: Path) -> int:
             or not 1 <= out[1] <= MAX_CHUNK:
         raise PolicyError(f"outputs {outputs}, the robot takes 'chunk' (0, chunk, {len(ACTION)})", where=path,
                           mend="train on a dataset version of this robot")
+    _check_results(model, path)
+    return out[1]
+
+
+def _check_results(model: onnx.ModelProto, path: Path) -> None:
+    """Every intermediate result has known sizes, grows with the number of attempts only, and is small."""
+    rows = {value.type.tensor_type.shape.dim[0].dim_param for value in model.graph.input}
+    del model.graph.value_info[:]  # what a file claims of its own results proves nothing
     try:
-        inferred = shape_inference.infer_shapes(model, check_type=True, strict_mode=True, data_prop=True)
+        inferred = shape_inference.infer_shapes(model, check_type=True, strict_mode=True, data_prop=True).graph
     except Exception as error:  # onnx raises its own types from C++, none of them public
         raise PolicyError("shapes do not fit together", where=path, mend=EXPORT) from error
-    for value in (*inferred.graph.value_info, *inferred.graph.output):
-        sizes = _sizes(value)
-        if sizes is None or np.prod([float(max(1, size)) for size in sizes]) > MAX_VALUES:
-            raise PolicyError(f"intermediate result {value.name!r} of sizes {sizes}", where=path,
-                              mend=f"{EXPORT}; at most {MAX_VALUES} float32 values an attempt are allowed")
-    if {value.name for value in inferred.graph.value_info} | set(outputs) != {
-            name for node in model.graph.node for name in node.output if name}:
-        raise PolicyError("an intermediate result has no known shape", where=path, mend=EXPORT)
-    return out[1]
+    results = {value.name: value for value in (*inferred.value_info, *inferred.output)}
+    for node in model.graph.node:
+        for name in node.output:
+            value = results.get(name)
+            sizes = None if value is None else _sizes(value)
+            if value is None or not sizes or 0 in sizes[1:] or np.prod([max(1.0, size) for size in sizes]) > MAX_VALUES:
+                raise PolicyError(f"intermediate result {name!r} of sizes {sizes}", where=path,
+                                  mend=f"{EXPORT}; at most {MAX_VALUES} float32 values an attempt are allowed")
+            kept = node.op_type == "Reshape"  # as many values as before, under another shape
+            if not kept and sizes[0] == 0 and value.type.tensor_type.shape.dim[0].dim_param not in rows:
+                raise PolicyError(f"intermediate result {name!r} has more rows than attempts", where=path, mend=EXPORT)

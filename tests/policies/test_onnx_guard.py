@@ -120,14 +120,26 @@ def test_the_shapes_of_another_robot_are_refused(tmp_path, model):
     assert "'state': (0, 18)" in message and "mend: train on a dataset version of this robot" in message
 
 
-def test_a_small_file_that_would_take_a_mountain_of_memory_is_refused(tmp_path, model):
+@pytest.mark.parametrize("axis", [0, 1], ids=["rows", "columns"])
+def test_a_small_file_that_would_take_a_mountain_of_memory_is_refused(tmp_path, model, axis):
     last = model.graph.node.pop()
     name = last.input[0]
     for k in range(40):
-        model.graph.node.append(helper.make_node("Concat", [name, name], [f"twice{k}"], axis=1))
+        model.graph.node.append(helper.make_node("Concat", [name, name], [f"twice{k}"], axis=axis))
         name = f"twice{k}"
     model.graph.node.append(last)
-    assert "values an attempt are allowed" in refused(written(tmp_path / "policy.onnx", model))
+    message = refused(written(tmp_path / "policy.onnx", model))
+    assert "values an attempt are allowed" in message or "more rows than attempts" in message
+
+
+def test_what_a_file_claims_of_its_own_results_is_not_believed(tmp_path, model):
+    claimed = helper.make_tensor_value_info("twice", TensorProto.FLOAT, ["n", 1])
+    model.graph.value_info.append(claimed)
+    last = model.graph.node.pop()
+    model.graph.node.append(helper.make_node("Concat", [last.input[0]] * 70_000, ["twice"], axis=1))
+    last.input[0] = "twice"
+    model.graph.node.append(last)
+    assert "'twice'" in refused(written(tmp_path / "policy.onnx", model))
 
 
 @pytest.mark.parametrize("value", [None, "nan", "1e9", "much"], ids=str)
