@@ -19,7 +19,7 @@ demo: .venv/.run ## the reference loop: live progress, then the table and the re
 	@.venv/bin/hardcase loop $(ARGS)
 
 test: .venv/.test ## everything that the tests need, then all tests
-	@$(PYTHON) -m pytest -n 2 $(ARGS)
+	@$(PYTHON) -m pytest -n 2 --dist loadgroup $(ARGS)
 
 check: .venv/.test ## ruff, pyright, layout guard
 	@.venv/bin/ruff check -q .

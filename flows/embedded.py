@@ -59,22 +59,20 @@ class EmbeddedPrefect:
         except OSError as error:
             mend = "set PREFECT_HOME to a folder that you may write"
             raise StoreError(f"no folder for Prefect: {error.strerror}", where=home, mend=mend) from error
-        with socket.create_server(("127.0.0.1", 0), backlog=128) as listener:
-            port = int(listener.getsockname()[1])
-            url = f"http://127.0.0.1:{port}/api"
-            environment = {**os.environ, **QUIET, "PREFECT_HOME": str(home.absolute()), "PREFECT_API_URL": url}
-            fd = listener.fileno()
+        with socket.create_server(("127.0.0.1", 0), backlog=128) as listener, (home / "server.log").open("wb") as log:
+            url = f"http://127.0.0.1:{int(listener.getsockname()[1])}/api"
+            settings = {**QUIET, "PREFECT_HOME": str(home.absolute()), "PREFECT_API_URL": url}
             process = subprocess.Popen(
-                [sys.executable, "-m", "flows.embedded_server", str(fd), str(os.getpid())],
-                env={**environment, "PYTHONPATH": _import_path()},
-                pass_fds=[fd],
+                [sys.executable, "-m", "flows.embedded_server", str(listener.fileno()), str(os.getpid())],
+                env={**os.environ, **settings, "PYTHONPATH": _import_path()},
+                pass_fds=[listener.fileno()],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
-                stderr=(home / "server.log").open("wb"),
+                stderr=log,
                 start_new_session=True,  # Ctrl-C of the terminal must not reach it before the flow has ended
             )
         logging.getLogger("EventsWorker").setLevel(logging.CRITICAL)  # outside of Prefect's own levels
-        os.environ.update({**QUIET, "PREFECT_HOME": str(home.absolute()), "PREFECT_API_URL": url})
+        os.environ.update(settings)
         return cls(process, url)
 
     @property

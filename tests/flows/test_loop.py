@@ -10,6 +10,7 @@ from flows.estimate import plan
 from pipeline.recipes import load_recipe
 from schemas.summary import LoopResult
 
+one_worker = pytest.mark.xdist_group("finished")
 
 PLAN = plan(load_recipe("smoke"), control=True)
 
@@ -27,11 +28,13 @@ def finished(tmp_path_factory, counting_in):
     return counting
 
 
+@one_worker
 def test_the_loop_turns_in_the_order_that_the_display_announces(finished):
     arms = {"loop": "", "control": "random"}
     assert begun(finished) == [f"{arms[step.arm]}{step.generation} {step.stage}" for step in PLAN]
 
 
+@one_worker
 def test_a_finished_loop_shows_the_table_and_writes_json(finished):
     result = LoopResult.model_validate_json((finished.folder / "r.json").read_text())
     assert [lap.generation for lap in result.generations] == [0, 1]
@@ -43,12 +46,14 @@ def test_a_finished_loop_shows_the_table_and_writes_json(finished):
     assert all(len(line) <= 80 for line in out.splitlines() if not line.startswith("Report:"))
 
 
+@one_worker
 def test_nothing_but_one_line_a_stage_reaches_stderr(finished):
     lines = finished.done.stderr.splitlines()
     assert len(lines) == len(PLAN)
     assert all(re.match(r"(control )?generation \d/1  \w+ +\d+\.\d s  \w+$", line) for line in lines)
 
 
+@one_worker
 def test_prefect_remembers_every_stage_as_a_finished_task(finished):
     runs = sqlite3.connect(finished.store / ".prefect/prefect.db")
     assert runs.execute("SELECT state_name, count(*) FROM flow_run GROUP BY 1").fetchall() == [("Completed", 1)]

@@ -10,6 +10,8 @@ import pytest
 
 from flows.serve import Service, serving
 
+pytestmark = pytest.mark.xdist_group("serve")  # one server for all of them
+
 ROOT = Path(__file__).parents[2]
 INSTALLED = any(ep.name == "hardcase-deployment-names" for ep in metadata.entry_points(group="prefect.plugins"))
 
