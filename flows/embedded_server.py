@@ -40,6 +40,7 @@ def serve(listener: socket.socket) -> None:
     """Prefect's API and the recorder of task runs, until SIGTERM."""
     os.environ.update({f"PREFECT_SERVER_SERVICES_{name}_ENABLED": "false" for name in OFF})
     gc.disable()  # nothing is freed while modules load; saves a tenth of the start
+    os.environ.setdefault("PREFECT_SERVER_SERVICES_TASK_RUN_RECORDER_BATCH_SIZE", "200")  # of one, it ends behind
     home = Path(os.environ["PREFECT_HOME"])
     fresh = not (home / "prefect.db").exists()
     if fresh and _template().exists():
