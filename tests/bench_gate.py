@@ -2,7 +2,7 @@
 
 Two policies of known success rates play interleaved strata; their outcomes on a scene correlate by `shared`, because
 hard scenes are hard for both (0 is the worst case). Prints how often the gate says PASS by each look, how often FAIL,
-and how many scenes it plays on average. Fixed seeds; several minutes on one core.
+and how many scenes it plays on average. Fixed seeds; about five minutes on one core.
 """
 
 from dataclasses import dataclass, field
@@ -43,8 +43,8 @@ CASES = (
     Case("+5 everywhere from .75", {"common": (0.75, 0.8), "side": (0.75, 0.8)}),
     Case("+10 everywhere from .75", {"common": (0.75, 0.85), "side": (0.75, 0.85)}),
     Case("+20 everywhere from .75", {"common": (0.75, 0.95), "side": (0.75, 0.95)}),
-    Case("first lap: rare 0 to .7, common .95 stays", {"common": COMMON, "side": (0, 0.7)}, by_400=0.75),
-    Case("same, nothing shared", {"common": COMMON, "side": (0, 0.7)}, shared=0, by_400=0.65),
+    Case("first lap: rare 0 to .7, common .95 stays", {"common": COMMON, "side": (0, 0.7)}, by_400=0.7),
+    Case("same, nothing shared", {"common": COMMON, "side": (0, 0.7)}, shared=0, by_400=0.55),
     Case("same, common .93 to .95", {"common": (0.93, 0.95), "side": (0, 0.7)}, by_400=0.9),
     Case("same, common .93 to .97", {"common": (0.93, 0.97), "side": (0, 0.7)}, by_400=0.97),
     Case("first lap, rare_share .2", {"common": COMMON, "side": (0, 0.7)}, shares={"common": 0.8, "side": 0.2}),
@@ -102,6 +102,7 @@ def play(case: Case, repeats: int) -> dict[str, float]:
     return found
 
 
+@pytest.mark.timeout(1800)
 def test_operating_characteristics(capsys):
     with capsys.disabled():
         print(f"\n{'case':<46}{'PASS by 200':>12}{'by 400':>8}{'in all':>8}{'FAIL':>7}{'scenes':>8}")
