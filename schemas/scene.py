@@ -29,7 +29,7 @@ class SceneSpec(Frozen):
     robot: Name
     scene: Name
     task: Name
-    stratum: Name = Field(description="kind of start: common, side, large, ...")
+    stratum: Name = Field(description="kind of start: common, beside, large, ...")
     object_xy_m: tuple[float, float]
     object_yaw_rad: float
     object_half_m: float = Field(gt=0, description="half edge of the cube [m]")

@@ -17,6 +17,8 @@ class ExpertConfig(Frozen):
     gate: float = 0.011
     funnel: float = 5.0
     speed: float = 0.019
+    creep: float = 0.003
+    slowing: float = 0.15
     turn: float = 0.11
     arrive: float = 0.012
     integral: float = 0.15
@@ -101,6 +103,7 @@ class Expert:
         offset = self.offset[ids] + c.integral * np.where(still[:, None], error, 0.0)
         self.offset[ids] = np.clip(offset, -c.largest_offset, c.largest_offset)
         length = np.linalg.norm(step[:, :3], axis=1, keepdims=True)
-        step[:, :3] *= np.minimum(1.0, c.speed / np.maximum(length, 1e-9))
+        speed = np.minimum(c.speed, c.creep + c.slowing * length)
+        step[:, :3] *= np.minimum(1.0, speed / np.maximum(length, 1e-9))
         step[:, 3] = np.clip(step[:, 3], -c.turn, c.turn)
         return np.column_stack([np.clip(step, -LIMITS, LIMITS), want])

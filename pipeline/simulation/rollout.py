@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.protocols import Array, Ids, Observation, Policy
+from pipeline.simulation.tracing import Tracer
 from pipeline.simulation.world import World
 
 type Watch = Callable[[int, Ids, Observation, Array], NDArray[np.bool_]]
@@ -25,26 +26,31 @@ class Result:
     """Reward term -> mean over the attempts still running at each tick, shape (horizon,)."""
 
 
-def rollout(world: World, policy: Policy, *, horizon: int | None = None, watch: Watch | None = None,
-            until_success: bool = True, with_rewards: bool = False) -> Result:
+def rollout(world: World, policy: Policy, *, ids: Ids | None = None, horizon: int | None = None, watch: Watch | None = None,
+            tracer: Tracer | None = None, until_success: bool = True, with_rewards: bool = False) -> Result:
     """Run every attempt of `world` to its end.
 
     Args:
         world: attempts at their start, or restored.
-        policy: acts on observations; reset here.
+        policy: acts on observations; the caller has reset it, or restored its memory.
+        ids: the attempts to run; all where None.
         horizon: longest attempt [ticks]; the task's own where None.
-        watch: called every tick after acting; may record, and may end attempts.
+        watch: called every tick after acting; may end attempts.
+        tracer: keeps everything that a recording holds.
         until_success: attempts end once the truth says success.
         with_rewards: collect reward curves.
     """
     horizon = horizon or world.task.ticks
-    policy.reset(world.n)
-    ids = np.arange(world.n)
+    ids = np.arange(world.n) if ids is None else ids
     ticks, curves = np.zeros(world.n, np.int64), {name: np.full(horizon, np.nan) for name in world.task.weights}
     for tick in range(horizon):
         observation = world.observe(ids)
         action = policy.act(observation, ids)
+        if tracer is not None:
+            tracer.before(ids, observation, action, policy)
         world.act(action, ids)
+        if tracer is not None:
+            tracer.after(ids)
         ticks[ids] = tick + 1
         if with_rewards:
             for name, value in world.rewards(ids).items():

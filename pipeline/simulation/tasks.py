@@ -24,11 +24,11 @@ class PickPlace(Frozen):
     """Pick the cube and put it on the mark; lengths [m]."""
 
     instruction: str = "Pick up the cube and place it on the mark."
-    ticks: int = 200
+    ticks: int = 150
     strata: dict[str, Stratum] = {
         "common": Stratum(x_m=(0.24, 0.38), y_abs_m=(0.0, 0.13)),
-        "side": Stratum(x_m=(0.28, 0.37), y_abs_m=(0.21, 0.28), rare_share=0.75),
-        "large": Stratum(x_m=(0.24, 0.38), y_abs_m=(0.0, 0.13), half_m=0.030, rare_share=0.25),
+        "beside": Stratum(x_m=(0.04, 0.14), y_abs_m=(0.23, 0.31), rare_share=0.75),
+        "large": Stratum(x_m=(0.24, 0.38), y_abs_m=(0.0, 0.13), half_m=0.031, rare_share=0.25),
     }
     target_x_m: tuple[float, float] = (0.22, 0.40)
     target_y_m: tuple[float, float] = (-0.16, 0.16)

@@ -18,12 +18,12 @@ from schemas.scene import SceneSpec
 CONTROL_HZ = 20.0
 LIMITS = np.array([0.02, 0.02, 0.02, 0.12])
 """Largest step of the commanded pose a tick [m, m, m, rad]."""
-REACH = np.array([[0.12, 0.48], [-0.36, 0.36], [0.008, 0.30], [-2.2, 2.2]])
+REACH = np.array([[-0.10, 0.48], [-0.36, 0.36], [0.008, 0.30], [-2.2, 2.2]])
 """Box of commanded poses: x, y, z [m], yaw [rad]."""
 OPEN_M = 0.08
 HOME = np.array([0.28, 0.0, 0.18, 0.0])
 """Commanded pose at reset [m, rad]."""
-CONTROLLER_WIDTH = 5 + 6 + 7 * (MAX_DELAY + 1) + 7 + 4
+CONTROLLER_WIDTH = 5 + 6 + 7 * (MAX_DELAY + 1) + 7 + 3
 
 
 @dataclass(slots=True)
@@ -37,7 +37,6 @@ class _Command:
     play: Array
     ticks: NDArray[np.int64]
     held: NDArray[np.int64]
-    sensed: NDArray[np.int64]
     step: Array
 
 
@@ -69,7 +68,8 @@ class World:
         self._target = np.array([[*s.target_xy_m, 0.0] for s in scenes])
         self._applied = Applied(self.batch, model, physics, self._dof, self._half)
         self._qpos, self._qvel, self._ctrl = (self.batch.bind(k) for k in ("qpos", "qvel", "ctrl"))
-        self._force = self.batch.bind("actuator_force")
+        self.efforts = self.batch.bind("actuator_force")
+        """Actuator forces of the last substep [N m, N], shape (n, 7); valid until the next call of the engine."""
         self._substeps = round(1 / CONTROL_HZ / model.opt.timestep)
         self._noise = np.empty((self.n, self.task.ticks + 1, 3))
         self._late = np.empty((self.n, self.task.ticks + 1))
@@ -97,7 +97,7 @@ class World:
         self._ctrl[:] = full
         self.command = _Command(
             np.tile(HOME, (n, 1)), np.full(n, OPEN_M), home, np.repeat(full[:, None], MAX_DELAY + 1, axis=1),
-            full.copy(), np.zeros(n, int), np.zeros(n, int), np.zeros(n, int), np.zeros(n))
+            full.copy(), np.zeros(n, int), np.zeros(n, int), np.zeros(n))
 
     # -- perceiving -------------------------------------------------------------------------------------------------
 
@@ -149,6 +149,15 @@ class World:
         """Joint targets last sent [rad] and opening [m], shape (len(ids), 7)."""
         return np.column_stack([self.command.joints[ids], self.command.opening[ids]])
 
+    def speeds(self, ids: Ids) -> Array:
+        """Joint speeds [rad/s] and opening speed [m/s], shape (len(ids), 7)."""
+        opening = self._qvel[np.ix_(ids, self._finger_dof)].sum(axis=1)
+        return np.column_stack([self._qvel[np.ix_(ids, self._dof)], opening])
+
+    def truth(self, ids: Ids) -> Array:
+        """Where the cube really is: x, y, z [m], yaw [rad]; for judges and stand-ins for people only."""
+        return np.column_stack([self._qpos[ids, self._object:self._object + 3], self._yaw(ids)])
+
     # -- judging ----------------------------------------------------------------------------------------------------
 
     def _judge(self, ids: Ids) -> None:
@@ -183,7 +192,7 @@ class World:
         """State rows: the engine's (mjSTATE_INTEGRATION) and the controller's, CONTROLLER_WIDTH wide."""
         rows, c = self.batch.state[ids].copy(), self.command
         memory = np.column_stack([c.pose[ids], c.opening[ids], c.joints[ids], c.line[ids].reshape(len(ids), -1),
-                                  c.play[ids], c.ticks[ids], c.held[ids], c.sensed[ids], c.step[ids]])
+                                  c.play[ids], c.ticks[ids], c.held[ids], c.step[ids]])
         return rows, memory
 
     def load(self, ids: Ids, rows: Array, memory: Array) -> None:
@@ -193,6 +202,6 @@ class World:
         c.pose[ids], c.opening[ids], c.joints[ids] = memory[:, :4], memory[:, 4], memory[:, 5:11]
         c.line[ids] = memory[:, 11:11 + lines].reshape(len(ids), MAX_DELAY + 1, 7)
         c.play[ids] = memory[:, 11 + lines:18 + lines]
-        rest = memory[:, 18 + lines:22 + lines]
-        c.ticks[ids], c.held[ids], c.sensed[ids] = rest[:, :3].astype(int).T
-        c.step[ids] = rest[:, 3]
+        rest = memory[:, 18 + lines:21 + lines]
+        c.ticks[ids], c.held[ids] = rest[:, :2].astype(int).T
+        c.step[ids] = rest[:, 2]

@@ -1,0 +1,74 @@
+"""Tracer: keeps, tick by tick, everything of n attempts that a recording holds."""
+
+import mujoco
+import numpy as np
+
+from pipeline.protocols import Array, Ids, Observation, Policy
+from pipeline.simulation.world import World
+from pipeline.trace import Event, Shadow, Trace
+
+
+class Tracer:
+    """Collects rows for the attempts that act, and hands out one Trace an attempt.
+
+    Args:
+        world: the attempts; its engine computes body poses once a tick more.
+    """
+
+    def __init__(self, world: World) -> None:
+        self._world, model = world, world.setup.model
+        self._bodies = [i for i in range(1, model.nbody) if model.body(i).name != "target"]
+        self.links = tuple(model.body(i).name for i in self._bodies)
+        self._xpos, self._xquat = world.batch.bind("xpos"), world.batch.bind("xquat")
+        self._rows: list[dict[str, Array]] = []
+        self._ids: list[Ids] = []
+        self._efforts = np.zeros((world.n, model.nu))
+        self.events: list[list[Event]] = [[] for _ in range(world.n)]
+        self.phases: list[dict[int, str]] = [{} for _ in range(world.n)]
+
+    def before(self, ids: Ids, observation: Observation, action: Array, policy: Policy) -> None:
+        """Keep what is known before the action of this tick is sent."""
+        world = self._world
+        sim, controller = world.save(ids)
+        world.batch.forward(ids, stage=int(mujoco.mjtStage.mjSTAGE_POS))
+        poses = np.concatenate([self._xpos[np.ix_(ids, self._bodies)], self._xquat[np.ix_(ids, self._bodies)]], axis=2)
+        self._ids.append(ids)
+        self._rows.append({
+            "state": observation.state, "environment": observation.environment, "action": action,
+            "joint_velocity": world.speeds(ids), "joint_effort": self._efforts[ids], "link_poses": poses,
+            "sim_state": sim, "controller": np.concatenate([controller, policy.memory(ids)], axis=1)})
+
+    def after(self, ids: Ids) -> None:
+        """Keep what the action of this tick led to."""
+        world, row = self._world, self._rows[-1]
+        self._efforts[ids] = world.efforts[ids]
+        row["joint_action"] = world.sent(ids)
+        for name, value in world.rewards(ids).items():
+            row[f"reward/{name}"] = value
+
+    def add(self, name: str, values: Array) -> None:
+        """Keep one more column for the attempts of this tick, shape (len(ids), ...)."""
+        self._rows[-1][name] = values
+
+    def traces(self) -> list[Trace]:
+        """One Trace an attempt, in the order of the world's attempts."""
+        order = np.concatenate(self._ids)
+        by_attempt = np.argsort(order, kind="stable")
+        counts = np.bincount(order, minlength=self._world.n)
+        cuts = np.cumsum(counts)[:-1]
+        names = self._rows[0].keys()
+        tables = {n: np.split(np.concatenate([r[n] for r in self._rows])[by_attempt], cuts) for n in names}
+        return [self._trace(i, {n: t[i] for n, t in tables.items()}) for i in range(self._world.n)]
+
+    def _trace(self, attempt: int, table: dict[str, Array]) -> Trace:
+        rewards = {n.removeprefix("reward/"): table.pop(n) for n in list(table) if n.startswith("reward/")}
+        shadows = {n.split("/")[1]: Shadow(table[n], table.pop(n.replace("/joint", "/disagreement")))
+                   for n in list(table) if n.startswith("shadow/") and n.endswith("/joint")}
+        for name in shadows:
+            del table[f"shadow/{name}/joint"]
+        phase, named = "", list[str]()
+        for tick in range(len(table["state"])):
+            phase = self.phases[attempt].get(tick, phase)
+            named.append(phase)
+        return Trace(hz=self._world.control_hz, links=self.links, phase=tuple(named), reward=rewards,
+                     shadows=shadows, events=tuple(self.events[attempt]), **table)
