@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
+from pipeline.errors import SimulationError
 from pipeline.protocols import Array
 from pipeline.simulation.model import Setup
 
@@ -18,10 +19,16 @@ class Kinematics:
         setup: compiled robot.
         n: how many robots.
         threads: threads of the engine.
+
+    Raises:
+        SimulationError: the body names no tool, so that nobody knows what to move where.
     """
 
     def __init__(self, setup: Setup, n: int, threads: int) -> None:
         model = setup.robot_model
+        if setup.body.tool is None:
+            raise SimulationError("robot has no tool to move", where=f"body {setup.body.root}",
+                                  mend="build it with a Body that names its tool site, as arm() does, or use robot arm")
         self._batch = Batch(model, nsim=n, nthread=threads)
         self._site = model.site(setup.body.tool).id
         self._body = int(model.site_bodyid[self._site])

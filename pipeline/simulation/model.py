@@ -31,7 +31,8 @@ def compose(body: Body, scene: str, contact: Contact = NOMINAL, nominal: Body | 
         nominal: the robot as its controller believes it to be; `body` itself where None.
     """
     alone = (nominal or body).spec.copy()
-    alone.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    # Kinematics asks where the tool is, nothing else: no contact, limit or dry friction needs to be set up for it.
+    alone.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
     spec = body.spec.copy()
     add_scene(spec, scene, contact)
     model = spec.compile()

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from pipeline.protocols import Array
+from pipeline.protocols import Array, Ids
 from schemas.scene import Draw
 
 MAX_DELAY = 5
@@ -54,6 +54,11 @@ class Physics:
     def take(self, rows: object) -> "Physics":
         """The same values for a subset of attempts."""
         return Physics(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+
+    def put(self, rows: object, other: "Physics") -> None:
+        """Overwrite a subset of attempts with the rows of `other`."""
+        for f in fields(self):
+            getattr(self, f.name)[rows] = getattr(other, f.name)
 
 
 UNITS = MappingProxyType({
@@ -119,42 +124,54 @@ def randomize(rng: np.random.Generator, widen: float = 1.0) -> tuple[Draw, ...]:
 
 
 class Applied:
-    """Physics written into the model fields of a Batch.
+    """Physics written into the model fields of a Batch, row by row.
 
     Args:
         batch: the simulations.
-        model: their common model.
-        physics: n rows.
+        model: their common model, whose values are the nominal ones.
         dofs: degrees of freedom of the robot's joints.
-        half_m: half edge of each attempt's cube [m], shape (n,).
     """
 
-    def __init__(self, batch: Batch, model: mujoco.MjModel, physics: Physics, dofs: Array, half_m: Array) -> None:
-        dofs, arm = dofs.astype(int), np.arange(len(dofs))
-        gain, bias = batch.expand("actuator_gainprm"), batch.expand("actuator_biasprm")
-        gain[:, arm, 0] *= physics.kp[:, None]
-        bias[:, arm, 1] *= physics.kp[:, None]
-        batch.expand("dof_damping")[:, dofs] *= physics.damping[:, None]
-        self._frictionloss = batch.expand("dof_frictionloss")
-        self._frictionloss[:, dofs] *= physics.frictionloss[:, None]
-        self._base = self._frictionloss[:, dofs].copy()
-        self._stiction = physics.stiction[:, None] * model.dof_frictionloss[dofs]
-        self._dofs, self.sticks = dofs, bool(physics.stiction.any())
+    def __init__(self, batch: Batch, model: mujoco.MjModel, dofs: Ids) -> None:
+        self._batch, self._model, self._dofs = batch, model, dofs
+        names = ("actuator_gainprm", "actuator_biasprm", "dof_damping", "dof_frictionloss", "geom_friction",
+                 "body_mass", "body_inertia", "geom_size", "geom_rbound", "geom_aabb", "opt.gravity")
+        self._fields: dict[str, Array] = {name: batch.expand(name) for name in names}
+        self._base = np.zeros((batch.nsim, len(dofs)))
+        self._stiction = np.zeros((batch.nsim, len(dofs)))
+        self.sticks = False
+
+    def write(self, ids: Ids, physics: Physics, half_m: Array) -> None:
+        """Give the simulations `ids` these physics.
+
+        Args:
+            ids: simulations, k of them.
+            physics: k rows.
+            half_m: half edge of each one's cube [m], shape (k,).
+        """
+        model, fields, dofs, row = self._model, self._fields, self._dofs, ids[:, None]
+        arm = np.arange(len(dofs))
+        fields["actuator_gainprm"][row, arm, 0] = model.actuator_gainprm[arm, 0] * physics.kp[:, None]
+        fields["actuator_biasprm"][row, arm, 1] = model.actuator_biasprm[arm, 1] * physics.kp[:, None]
+        fields["dof_damping"][row, dofs] = model.dof_damping[dofs] * physics.damping[:, None]
+        self._base[ids] = model.dof_frictionloss[dofs] * physics.frictionloss[:, None]
+        fields["dof_frictionloss"][row, dofs] = self._base[ids]
+        self._stiction[ids] = physics.stiction[:, None] * model.dof_frictionloss[dofs]
+        self.sticks = bool(self._stiction.any())
         body, geom = model.body("object").id, model.geom("object").id
-        friction = batch.expand("geom_friction")
         for name in ("object", "table", "left_pad", "right_pad"):
             # MuJoCo takes the larger friction of a pair: all of them get the drawn value.
-            friction[:, model.geom(name).id, 0] = physics.friction
-        batch.expand("body_mass")[:, body] = physics.mass
-        batch.expand("body_inertia")[:, body] = (physics.mass * (2 * half_m) ** 2 / 6)[:, None]
-        batch.expand("geom_size")[:, geom] = half_m[:, None]
-        batch.expand("geom_rbound")[:, geom] = half_m * np.sqrt(3)
-        batch.expand("geom_aabb")[:, geom, 3:] = half_m[:, None]
-        gravity = batch.expand("opt.gravity")
-        gravity[:, 0], gravity[:, 1] = 9.81 * physics.tilt_x, 9.81 * physics.tilt_y
-        batch.set_const()
+            fields["geom_friction"][ids, model.geom(name).id, 0] = physics.friction
+        fields["body_mass"][ids, body] = physics.mass
+        fields["body_inertia"][ids, body] = (physics.mass * (2 * half_m) ** 2 / 6)[:, None]
+        fields["geom_size"][ids, geom] = half_m[:, None]
+        fields["geom_rbound"][ids, geom] = half_m * np.sqrt(3)
+        fields["geom_aabb"][ids, geom, 3:] = half_m[:, None]
+        fields["opt.gravity"][ids, 0] = 9.81 * physics.tilt_x
+        fields["opt.gravity"][ids, 1] = 9.81 * physics.tilt_y
+        self._batch.set_const(ids)
 
-    def stick(self, velocity: Array, ids: Array) -> None:
+    def stick(self, velocity: Array, ids: Ids) -> None:
         """Raise dry friction at rest: base + stiction exp(-(v / v_s)^2); velocity [rad/s], shape (len(ids), nq)."""
         extra = self._stiction[ids] * np.exp(-((velocity / STRIBECK_RAD_S) ** 2))
-        self._frictionloss[np.ix_(ids, self._dofs)] = self._base[ids] + extra
+        self._fields["dof_frictionloss"][ids[:, None], self._dofs] = self._base[ids] + extra

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pipeline.protocols import Array, Ids, Observation
 from pipeline.simulation.kinematics import Kinematics
 from pipeline.simulation.model import Setup
-from pipeline.simulation.physics import MAX_DELAY, Applied, Physics
+from pipeline.simulation.physics import MAX_DELAY, Applied, Physics, from_draws
 from pipeline.simulation.tasks import load_task
 from schemas.scene import SceneSpec
 
@@ -54,7 +54,7 @@ class World:
 
     def __init__(self, setup: Setup, scenes: Sequence[SceneSpec], physics: Physics, *, threads: int = 2) -> None:
         self.setup, self.scenes, self.n = setup, tuple(scenes), len(scenes)
-        self.task, self.physics = load_task(scenes[0].task), physics
+        self.task, self.physics = load_task(scenes[0].task), from_draws([()] * len(scenes))
         model, body = setup.model, setup.body
         self.batch = Batch(model, nsim=self.n, nthread=threads)
         self.kinematics = Kinematics(setup, self.n, threads)
@@ -64,40 +64,60 @@ class World:
         self._finger = np.array([model.jnt_qposadr[joint[name]] for name in body.fingers])
         self._finger_dof = np.array([model.jnt_dofadr[joint[name]] for name in body.fingers])
         self._object = int(model.jnt_qposadr[joint["object"]])
-        self._half = np.array([s.object_half_m for s in scenes])
-        self._target = np.array([[*s.target_xy_m, 0.0] for s in scenes])
-        self._applied = Applied(self.batch, model, physics, self._dof, self._half)
+        self._half, self._target = np.zeros(self.n), np.zeros((self.n, 3))
+        self._applied = Applied(self.batch, model, self._dof)
         self._qpos, self._qvel, self._ctrl = (self.batch.bind(k) for k in ("qpos", "qvel", "ctrl"))
+        self._mocap = self.batch.bind("mocap_pos")
         self.efforts = self.batch.bind("actuator_force")
         """Actuator forces of the last substep [N m, N], shape (n, 7); valid until the next call of the engine."""
         self._substeps = round(1 / CONTROL_HZ / model.opt.timestep)
         self._noise = np.empty((self.n, self.task.ticks + 1, 3))
         self._late = np.empty((self.n, self.task.ticks + 1))
-        for row, scene in enumerate(scenes):
-            rng = np.random.default_rng([scene.seed, 7])
-            self._noise[row] = rng.standard_normal(self._noise.shape[1:])
-            self._late[row] = rng.random(self._late.shape[1])
-        self._reset()
-
-    def _reset(self) -> None:
-        n, body = self.n, self.setup.body
-        self.batch.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE))
-        home = np.tile(np.array(body.home), (n, 1))
+        home = np.array([body.home])
         for _ in range(40):
-            home = self.kinematics.towards(home, np.tile(HOME, (n, 1)))
-        self._qpos[:, self._arm] = home
-        self._qpos[:, self._finger] = OPEN_M / 2
-        yaw = np.array([s.object_yaw_rad for s in self.scenes])
-        at = self._object
-        self._qpos[:, at:at + 2] = [s.object_xy_m for s in self.scenes]
-        self._qpos[:, at + 2] = self._half
-        self._qpos[:, at + 3:at + 7] = np.column_stack([np.cos(yaw / 2), 0 * yaw, 0 * yaw, np.sin(yaw / 2)])
-        self.batch.bind("mocap_pos")[:, 0] = self._target + [0, 0, 0.0005]
-        full = np.column_stack([home, np.full(n, OPEN_M / 2)])
-        self._ctrl[:] = full
-        self.command = _Command(
-            np.tile(HOME, (n, 1)), np.full(n, OPEN_M), home, np.repeat(full[:, None], MAX_DELAY + 1, axis=1),
-            full.copy(), np.zeros(n, int), np.zeros(n, int), np.zeros(n))
+            home = self.kinematics.towards(home, HOME[None])
+        self._home = home[0]
+        self._measured = np.full((self.n, len(body.joints)), np.nan)
+        self._pose = np.zeros((self.n, 4))
+        n, lines = self.n, MAX_DELAY + 1
+        self.command = _Command(np.zeros((n, 4)), np.zeros(n), np.zeros((n, 6)), np.zeros((n, lines, 7)),
+                                np.zeros((n, 7)), np.zeros(n, int), np.zeros(n, int), np.zeros(n))
+        self.restart(np.arange(n), self.scenes, physics)
+
+    def restart(self, ids: Ids, scenes: Sequence[SceneSpec], physics: Physics) -> None:
+        """Begin other attempts in the places `ids`, to the bit as a new World would.
+
+        Args:
+            ids: places to begin anew, k of them; the others go on undisturbed.
+            scenes: k starts, of this world's task.
+            physics: k rows.
+        """
+        k, all_scenes = len(ids), list(self.scenes)
+        for i, scene in zip(ids, scenes, strict=True):
+            all_scenes[i] = scene
+            rng = np.random.default_rng([scene.seed, 7])
+            self._noise[i] = rng.standard_normal(self._noise.shape[1:])
+            self._late[i] = rng.random(self._late.shape[1])
+        self.scenes = tuple(all_scenes)
+        self.physics.put(ids, physics)
+        self._half[ids] = [s.object_half_m for s in scenes]
+        self._target[ids] = [[*s.target_xy_m, 0.0] for s in scenes]
+        self._applied.write(ids, physics, self._half[ids])
+        self.batch.reset(ids, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
+        self._qpos[ids[:, None], self._arm] = self._home
+        self._qpos[ids[:, None], self._finger] = OPEN_M / 2
+        yaw, at = np.array([s.object_yaw_rad for s in scenes]), self._object
+        self._qpos[ids, at:at + 2] = [s.object_xy_m for s in scenes]
+        self._qpos[ids, at + 2] = self._half[ids]
+        self._qpos[ids, at + 3:at + 7] = np.column_stack([np.cos(yaw / 2), 0 * yaw, 0 * yaw, np.sin(yaw / 2)])
+        self._mocap[ids, 0] = self._target[ids] + [0, 0, 0.0005]
+        full = np.tile([*self._home, OPEN_M / 2], (k, 1))
+        self._ctrl[ids] = full
+        c = self.command
+        c.pose[ids], c.opening[ids], c.joints[ids], c.play[ids] = HOME, OPEN_M, self._home, full
+        c.line[ids] = full[:, None]
+        c.ticks[ids] = c.held[ids] = 0
+        c.step[ids] = 0.0
 
     # -- perceiving -------------------------------------------------------------------------------------------------
 
@@ -105,13 +125,20 @@ class World:
         """What the robots perceive now: encoders, forward kinematics, their own command, and a biased camera."""
         c, q = self.command, self._qpos[np.ix_(ids, self._arm)]
         opening = self._qpos[np.ix_(ids, self._finger)].sum(axis=1)
-        state = np.column_stack([q, opening, self.kinematics.xyz_yaw(q), c.pose[ids], c.opening[ids]])
+        state = np.column_stack([q, opening, self._pose_of(q, ids), c.pose[ids], c.opening[ids]])
         noise = self._noise[ids, c.ticks[ids]] * self.physics.noise[ids, None]
         seen = self._qpos[ids, self._object:self._object + 3] + noise
         seen[:, 0] += self.physics.bias_x[ids]
         seen[:, 1] += self.physics.bias_y[ids]
         environment = np.column_stack([seen, self._yaw(ids), self._target[ids]])
         return Observation(state, environment)
+
+    def _pose_of(self, q: Array, ids: Ids) -> Array:
+        """Tool pose at the measured joints; what the judge of the last tick worked out is not worked out again."""
+        new = (self._measured[ids] != q).any(axis=1)
+        if new.any():
+            self._pose[ids[new]], self._measured[ids[new]] = self.kinematics.xyz_yaw(q[new]), q[new]
+        return self._pose[ids]
 
     def _yaw(self, ids: Ids) -> Array:
         """Yaw of the cube within a quarter turn, the most that a camera can tell [rad]."""
@@ -124,9 +151,7 @@ class World:
     def act(self, action: Array, ids: Ids) -> None:
         """Move the commanded pose by `action`, solve for joints, and let one control period pass."""
         c = self.command
-        pose = np.clip(c.pose[ids] + np.clip(action[:, :4], -LIMITS, LIMITS), REACH[:, 0], REACH[:, 1])
-        opening = np.clip(action[:, 4], 0.0, OPEN_M)
-        joints = self.kinematics.towards(c.joints[ids], pose)
+        pose, opening, joints = self._solved(action, ids)
         c.step[ids] = ((joints - c.joints[ids]) ** 2).sum(axis=1)
         c.pose[ids], c.opening[ids], c.joints[ids] = pose, opening, joints
         c.line[ids, 1:] = c.line[ids, :-1]
@@ -144,6 +169,17 @@ class World:
         self.batch.step(ids, nstep=self._substeps)
         c.ticks[ids] += 1
         self._judge(ids)
+
+    def _solved(self, action: Array, ids: Ids) -> tuple[Array, Array, Array]:
+        """Commanded pose, opening and joints that an action asks for."""
+        c = self.command
+        pose = np.clip(c.pose[ids] + np.clip(action[:, :4], -LIMITS, LIMITS), REACH[:, 0], REACH[:, 1])
+        return pose, np.clip(action[:, 4], 0.0, OPEN_M), self.kinematics.towards(c.joints[ids], pose)
+
+    def would_send(self, action: Array, ids: Ids) -> Array:
+        """Joint targets [rad] and opening [m] that an action would send now; nothing moves, shape (len(ids), 7)."""
+        _, opening, joints = self._solved(action, ids)
+        return np.column_stack([joints, opening])
 
     def sent(self, ids: Ids) -> Array:
         """Joint targets last sent [rad] and opening [m], shape (len(ids), 7)."""
@@ -163,7 +199,7 @@ class World:
     def _judge(self, ids: Ids) -> None:
         c, task = self.command, self.task
         q = self._qpos[np.ix_(ids, self._arm)]
-        self._tool = self.kinematics.pose(q)[0]
+        self._tool = self._pose_of(q, ids)[:, :3]
         cube = self._qpos[ids, self._object:self._object + 3]
         opening = self._qpos[np.ix_(ids, self._finger)].sum(axis=1)
         at = np.hypot(*(cube - self._target[ids])[:, :2].T) < task.within_m
@@ -185,6 +221,10 @@ class World:
         terms = {"reach": np.exp(-reach / 0.1), "grasp": held.astype(float), "carry": np.exp(-gap / 0.1),
                  "success": self.succeeded(ids).astype(float), "effort": self.command.step[ids]}
         return {name: weight * terms[name] for name, weight in self.task.weights.items()}
+
+    def restart_clock(self, ids: Ids) -> None:
+        """Give attempts that were restored their full time again; noise and jitter start over with it."""
+        self.command.ticks[ids] = 0
 
     # -- restoring --------------------------------------------------------------------------------------------------
 
