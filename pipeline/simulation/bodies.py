@@ -1,5 +1,9 @@
 """Robot bodies: the reference arm from primitives, and any body given as an MJCF or URDF file."""
 
+# mujoco is a compiled package without type stubs
+# pyright: reportMissingTypeStubs=false, reportAttributeAccessIssue=false, reportUnknownMemberType=false
+# pyright: reportUnknownVariableType=false, reportUnknownParameterType=false, reportUnknownArgumentType=false
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,7 +47,7 @@ class ArmConfig(Frozen):
     shoulder_height: float = 0.16
     upper_arm: float = 0.28
     forearm: float = 0.26
-    tool: float = Field(0.13, description="wrist axis to the point between the pads")
+    tool: float = Field(default=0.13, description="wrist axis to the point between the pads")
     link_mass: tuple[float, float, float, float] = (1.2, 0.9, 0.5, 0.3)
     joints: tuple[JointConfig, ...] = (
         _large("joint1", (0, 0, 1), -2.4, 2.4, 0.0),
@@ -53,10 +57,10 @@ class ArmConfig(Frozen):
         _wrist("joint5", (0, 1, 0), -2.2, 2.4, 1.44),
         _wrist("joint6", (0, 0, 1), -3.1, 3.1, 0.0),
     )
-    finger_travel: float = Field(0.04, description="of each finger, half the largest opening")
-    finger_kp: float = Field(600, description="[N/m]")
+    finger_travel: float = Field(default=0.04, description="of each finger, half the largest opening")
+    finger_kp: float = Field(default=600, description="[N/m]")
     finger_kv: float = 10
-    finger_force: float = Field(25, description="[N]")
+    finger_force: float = Field(default=25, description="[N]")
     pad_half: tuple[float, float, float] = (0.012, 0.004, 0.014)
     pad_friction: float = 1.0
 

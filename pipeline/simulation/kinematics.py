@@ -1,5 +1,9 @@
 """Kinematics of many robots at once: tool pose, and one damped least-squares step towards a pose."""
 
+# mujoco is a compiled package without type stubs
+# pyright: reportMissingTypeStubs=false, reportAttributeAccessIssue=false, reportUnknownMemberType=false
+# pyright: reportUnknownVariableType=false, reportUnknownParameterType=false, reportUnknownArgumentType=false
+
 import mujoco
 import numpy as np
 from mujoco.batch import Batch

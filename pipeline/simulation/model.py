@@ -1,5 +1,9 @@
 """Layers composed: a scene built around a robot body, compiled once."""
 
+# mujoco is a compiled package without type stubs
+# pyright: reportMissingTypeStubs=false, reportAttributeAccessIssue=false, reportUnknownMemberType=false
+# pyright: reportUnknownVariableType=false, reportUnknownParameterType=false, reportUnknownArgumentType=false
+
 from dataclasses import dataclass
 
 import mujoco

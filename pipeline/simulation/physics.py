@@ -1,5 +1,9 @@
 """Physics that differs from attempt to attempt, and the named randomizations that draw it in training."""
 
+# mujoco is a compiled package without type stubs
+# pyright: reportMissingTypeStubs=false, reportAttributeAccessIssue=false, reportUnknownMemberType=false
+# pyright: reportUnknownVariableType=false, reportUnknownParameterType=false, reportUnknownArgumentType=false
+
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from types import MappingProxyType
@@ -115,7 +119,9 @@ RANDOMIZATIONS: MappingProxyType[str, Randomize] = MappingProxyType({
     "bias_y": _normal(0.005),
     "noise": _uniform(0.0, 0.002, 0.0),
 })
-"""Parameter of Physics -> how training draws it. Add one: a field of Physics with unit and nominal value, an entry here."""
+"""Parameter of Physics -> how training draws it.
+
+Add one: a field of Physics with unit and nominal value, an entry here."""
 
 
 def randomize(rng: np.random.Generator, widen: float = 1.0) -> tuple[Draw, ...]:

@@ -26,8 +26,9 @@ class Result:
     """Reward term -> mean over the attempts still running at each tick, shape (horizon,)."""
 
 
-def rollout(world: World, policy: Policy, *, ids: Ids | None = None, horizon: int | None = None, watch: Watch | None = None,
-            tracer: Tracer | None = None, until_success: bool = True, with_rewards: bool = False) -> Result:
+def rollout(world: World, policy: Policy, *, ids: Ids | None = None, horizon: int | None = None,
+            watch: Watch | None = None, tracer: Tracer | None = None, until_success: bool = True,
+            with_rewards: bool = False) -> Result:
     """Run every attempt of `world` to its end.
 
     Args:
@@ -40,7 +41,7 @@ def rollout(world: World, policy: Policy, *, ids: Ids | None = None, horizon: in
         until_success: attempts end once the truth says success.
         with_rewards: collect reward curves.
     """
-    horizon = horizon or world.task.ticks
+    horizon = min(horizon or world.task.ticks, world.task.ticks)
     ids = np.arange(world.n) if ids is None else ids
     ticks, curves = np.zeros(world.n, np.int64), {name: np.full(horizon, np.nan) for name in world.task.weights}
     for tick in range(horizon):

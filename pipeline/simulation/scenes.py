@@ -1,5 +1,9 @@
 """Scenes: what stands around the robot (table, object, target, cameras, light)."""
 
+# mujoco is a compiled package without type stubs
+# pyright: reportMissingTypeStubs=false, reportAttributeAccessIssue=false, reportUnknownMemberType=false
+# pyright: reportUnknownVariableType=false, reportUnknownParameterType=false, reportUnknownArgumentType=false
+
 from collections.abc import Callable
 from types import MappingProxyType
 

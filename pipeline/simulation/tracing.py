@@ -1,5 +1,9 @@
 """Tracer: keeps, tick by tick, everything of n attempts that a recording holds."""
 
+# mujoco is a compiled package without type stubs
+# pyright: reportMissingTypeStubs=false, reportAttributeAccessIssue=false, reportUnknownMemberType=false
+# pyright: reportUnknownVariableType=false, reportUnknownParameterType=false, reportUnknownArgumentType=false
+
 import mujoco
 import numpy as np
 
@@ -17,11 +21,12 @@ class Tracer:
 
     def __init__(self, world: World) -> None:
         self._world, model = world, world.setup.model
-        self._bodies = [i for i in range(1, model.nbody) if model.body(i).name != "target"]
+        self._bodies = np.array([i for i in range(1, model.nbody) if model.body(i).name != "target"])
         self.links = tuple(model.body(i).name for i in self._bodies)
         self._xpos, self._xquat = world.batch.bind("xpos"), world.batch.bind("xquat")
         self._rows: list[dict[str, Array]] = []
         self._ids: list[Ids] = []
+        self._pending: dict[str, Array] = {}
         self._efforts = np.zeros((world.n, model.nu))
         self.events: list[list[Event]] = [[] for _ in range(world.n)]
         self.phases: list[dict[int, str]] = [{} for _ in range(world.n)]
@@ -36,7 +41,9 @@ class Tracer:
         self._rows.append({
             "state": observation.state, "environment": observation.environment, "action": action,
             "joint_velocity": world.speeds(ids), "joint_effort": self._efforts[ids], "link_poses": poses,
-            "sim_state": sim, "controller": np.concatenate([controller, policy.memory(ids)], axis=1)})
+            "sim_state": sim, "controller": np.concatenate([controller, policy.memory(ids)], axis=1),
+            **self._pending})
+        self._pending = {}
 
     def after(self, ids: Ids) -> None:
         """Keep what the action of this tick led to."""
@@ -46,9 +53,9 @@ class Tracer:
         for name, value in world.rewards(ids).items():
             row[f"reward/{name}"] = value
 
-    def add(self, name: str, values: Array) -> None:
-        """Keep one more column for the attempts of this tick, shape (len(ids), ...)."""
-        self._rows[-1][name] = values
+    def pend(self, name: str, values: Array) -> None:
+        """Keep one more column for the attempts of the tick whose `before` comes next, shape (len(ids), ...)."""
+        self._pending[name] = values
 
     def traces(self) -> list[Trace]:
         """One Trace an attempt, in the order of the world's attempts."""

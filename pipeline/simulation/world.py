@@ -1,5 +1,9 @@
 """World: n attempts of one task side by side in one Batch, acting and perceiving like robots."""
 
+# mujoco is a compiled package without type stubs
+# pyright: reportMissingTypeStubs=false, reportAttributeAccessIssue=false, reportUnknownMemberType=false
+# pyright: reportUnknownVariableType=false, reportUnknownParameterType=false, reportUnknownArgumentType=false
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -232,7 +236,7 @@ class World:
         """State rows: the engine's (mjSTATE_INTEGRATION) and the controller's, CONTROLLER_WIDTH wide."""
         rows, c = self.batch.state[ids].copy(), self.command
         memory = np.column_stack([c.pose[ids], c.opening[ids], c.joints[ids], c.line[ids].reshape(len(ids), -1),
-                                  c.play[ids], c.ticks[ids], c.held[ids], c.step[ids]])
+                                  c.play[ids], c.ticks[ids], c.held[ids], c.step[ids]]).astype(np.float64)
         return rows, memory
 
     def load(self, ids: Ids, rows: Array, memory: Array) -> None:
