@@ -54,6 +54,18 @@ class PickPlace(Frozen):
         return {n: s.rare_share for n, s in self.strata.items() if s.rare_share > 0}
 
 
+    def nearest_half(self, centre_z_m: float) -> float:
+        """Half edge of the cube whose centre rests at about this height: the size as it can be perceived [m]."""
+        return min((k.half_m for k in self.strata.values()), key=lambda half: abs(half - centre_z_m))
+
+    def sample_target(self, rng: np.random.Generator, x: float, y: float) -> tuple[float, float]:
+        """A mark at least `target_away_m` from an object at x, y [m]."""
+        while True:
+            target = float(rng.uniform(*self.target_x_m)), float(rng.uniform(*self.target_y_m))
+            if np.hypot(target[0] - x, target[1] - y) >= self.target_away_m:
+                return target
+
+
 TASKS: MappingProxyType[str, PickPlace] = MappingProxyType({"pick-place": PickPlace()})
 """Task name -> its config. Add one: a task of its own and an entry here."""
 
@@ -85,10 +97,7 @@ def sample_scene(task: str, family: SceneFamily, seed: int, stratum: str, *, rob
     kind, rng = config.strata[stratum], np.random.default_rng(seed)
     x, y = rng.uniform(*kind.x_m), rng.uniform(*kind.y_abs_m) * rng.choice([-1.0, 1.0])
     yaw = rng.uniform(*kind.yaw_rad)
-    while True:
-        target = (float(rng.uniform(*config.target_x_m)), float(rng.uniform(*config.target_y_m)))
-        if np.hypot(target[0] - x, target[1] - y) >= config.target_away_m:
-            break
+    target = config.sample_target(rng, x, y)
     return SceneSpec(family=family, seed=seed, robot=robot, scene=scene, task=task, stratum=stratum,
                      object_xy_m=(float(x), float(y)), object_yaw_rad=float(yaw), object_half_m=kind.half_m,
                      target_xy_m=target, twin=twin)

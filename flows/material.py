@@ -1,0 +1,103 @@
+"""Material: what the finished steps of a run hold, as the next stages need it."""
+
+from collections.abc import Iterator, Mapping
+from functools import lru_cache
+from typing import Any
+
+from pipeline.errors import StoreError
+from pipeline.frames import Frames
+from pipeline.recording import read_episode, read_frames
+from pipeline.shards import read_shard
+from pipeline.store import Store
+from pipeline.trace import Trace
+from schemas.dataset import DatasetVersion
+from schemas.episode import VARIANTS, Episode
+
+NEEDS: Mapping[str, tuple[str, ...]] = {
+    "augment": ("collect",), "build": ("augment",), "train": ("build",), "gate": ("train",), "release": ("gate",),
+    "exam": ("train", "release"), "deploy": ("release",), "harvest": ("deploy",),
+}
+"""Stage -> stages of the same lap whose ids it reads."""
+
+
+class Material:
+    """Reads one run from its store.
+
+    Args:
+        store: where the run is kept.
+        run: its id.
+    """
+
+    def __init__(self, store: Store, run: str) -> None:
+        self._store, self._run = store, run
+        self._shard = lru_cache(maxsize=8)(lambda blob: read_shard(store.blob(blob)))
+        self._recording = lru_cache(maxsize=512)(lambda blob: read_frames(store.blob(blob))[1])
+
+    def outputs(self, generation: int, stage: str) -> dict[str, Any]:
+        """What a finished step says of itself; StoreError where it is not finished."""
+        step = self._store.step(self._run, generation, stage)
+        if step is None:
+            raise StoreError(f"{stage} of generation {generation} is not finished", where=f"run {self._run}",
+                             mend=f"run it first: hardcase {stage}")
+        return step.outputs
+
+    def ids(self, generation: int, stage: str) -> list[str]:
+        """What a finished step made."""
+        return [str(i) for i in self.outputs(generation, stage)["ids"]]
+
+    def inputs(self, generation: int, stage: str) -> dict[str, str]:
+        """Name -> ids that a stage read."""
+        before = [(g, s) for s in NEEDS.get(stage, ()) for g in (generation,)]
+        if stage == "augment" and generation:
+            before = [(generation - 1, "harvest")]
+        return {s: ",".join(self.ids(g, s)[:64]) for g, s in before
+                if self._store.step(self._run, g, s) is not None}
+
+    def fresh(self, generation: int) -> list[Episode]:
+        """Recorded episodes that this lap sees for the first time."""
+        stage = (0, "collect") if generation == 0 else (generation - 1, "harvest")
+        return self._store.episodes(self.ids(*stage))
+
+    def episodes(self, generation: int) -> list[Episode]:
+        """Everything that may enter this lap's version, and the attempts that corrections grew from."""
+        found: list[Episode] = []
+        for g in range(generation + 1):
+            found += self.fresh(g)
+            found += self._store.episodes(self.ids(g, "augment"))
+        known = {e.id for e in found}
+        grown = [e.parent for e in found if e.parent and e.parent not in known]
+        return found + self._store.episodes(list(dict.fromkeys(grown)))
+
+    def frames(self, episode: Episode) -> Frames:
+        """The frames of an episode, from its recording or its shard."""
+        if episode.blob is None:
+            raise StoreError(f"episode {episode.id} keeps no frames", where=f"run {self._run}",
+                             mend="it is a rejected variant: make it again from its parent, draws and seed")
+        if episode.origin in VARIANTS:
+            return self._shard(episode.blob)[episode.id]
+        return self._recording(episode.blob)
+
+    def failed_attempts(self, generation: int) -> list[tuple[Episode, Trace]]:
+        """Deployed attempts that a trigger stopped, whole and restorable."""
+        failed = [e for e in self._store.episodes(self.ids(generation, "deploy")) if e.outcome.label == "failure"]
+        return [(e, read_episode(self._store.blob(str(e.blob)))[1]) for e in failed]
+
+    def version(self, generation: int) -> DatasetVersion:
+        """The dataset version of a lap."""
+        return self._store.version(self.ids(generation, "build")[0])
+
+    def harvested_strata(self) -> list[str]:
+        """Kinds of start of the hard cases so far that are not common, in the order they were met."""
+        return [s for s in dict.fromkeys(c.stratum for c in self._store.hard_cases(run=self._run)) if s != "common"]
+
+    def exams(self) -> Iterator[tuple[str, dict[str, Any]]]:
+        """Policy -> exam result, of every policy that this run has examined."""
+        for step in self._store.steps(self._run):
+            if step.stage == "exam":
+                results: dict[str, Any] = dict(step.outputs["results"])  # type: ignore[arg-type]
+                yield from results.items()
+
+    def rider(self, champion: str) -> str | None:
+        """A policy to ride in the champion's shadow: the newest other one of this run."""
+        others = [p.id for p in self._store.policies(run=self._run) if p.id != champion]
+        return others[-1] if others else None

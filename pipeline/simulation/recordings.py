@@ -1,0 +1,50 @@
+"""From traces to recordings: episode ids, attachments, files in a folder."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from pipeline.files import short_id
+from pipeline.recording import Recording, write_episodes
+from pipeline.simulation.model import Setup
+from pipeline.simulation.urdf import robot_urdf
+from pipeline.trace import Trace
+from schemas.episode import Episode, Origin
+from schemas.scene import SceneSpec
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """An episode and its MCAP file, not yet in the store."""
+
+    episode: Episode
+    path: Path
+
+
+def episode_id(origin: Origin, scene: SceneSpec, *causes: object) -> str:
+    """Id of a simulated episode: it follows from its causes, never from the clock."""
+    return short_id("episode", origin, scene.model_dump_json(), *causes)
+
+
+def record(folder: Path, setup: Setup, episodes: Sequence[Episode], traces: Sequence[Trace], *,
+           config: Mapping[str, object], software: Mapping[str, str]) -> list[Recorded]:
+    """Write one MCAP file an episode and return the episodes with the hash of their file as blob.
+
+    Args:
+        folder: where to write; files are named by episode id.
+        setup: robot and scene, attached as MJCF and URDF.
+        episodes: records without blob.
+        traces: what happened, in the same order.
+        config: thresholds and sizes that were in force, attached as JSON.
+        software: strings for the metadata record.
+    """
+    fixed = {"scene.xml": setup.xml.encode(), "robot.urdf": robot_urdf(setup.model, setup.body.root, "arm").encode(),
+             "config.json": json.dumps(dict(config), sort_keys=True).encode()}
+    items = [Recording(folder / f"{e.id}.mcap", e, t,
+                       {**fixed, "randomization.json": json.dumps([d.model_dump() for d in e.scene.draws]).encode()},
+                       software)
+             for e, t in zip(episodes, traces, strict=True)]
+    hashes = write_episodes(items)
+    return [Recorded(item.episode.model_copy(update={"blob": h}), item.path)
+            for item, h in zip(items, hashes, strict=True)]
