@@ -1,6 +1,12 @@
 """One attempt as a Gymnasium environment: what a policy sees, what it may do, and what it is worth."""
 
-from typing import Any, ClassVar, override
+# mujoco is a compiled package without type stubs
+# pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false
+
+from collections.abc import Mapping
+from functools import reduce
+from operator import add
+from typing import Any, override
 
 import gymnasium as gym
 import numpy as np
@@ -92,6 +98,11 @@ def seen(world: World, ids: Ids) -> Seen:
             "environment_state": observation.environment.astype(np.float32)}
 
 
+def total(rewards: Mapping[str, Array]) -> Array:
+    """Sum of the reward terms, in their order; Python's own sum() would round scalars and arrays differently."""
+    return reduce(add, rewards.values())
+
+
 def usable(action: object, shape: tuple[int, ...]) -> Array:
     """The action as the world takes it; SimulationError for another shape or a value that is not finite."""
     values = np.asarray(action, np.float64)
@@ -104,7 +115,7 @@ def usable(action: object, shape: tuple[int, ...]) -> Array:
     return values
 
 
-class PickPlaceEnv(gym.Env[Seen, NDArray[np.float32]]):
+class PickPlaceEnv(gym.Env[Any, Any]):
     """Pick up the cube and put it on the mark, at 20 Hz; observations are as perceived, never the truth.
 
     `reset(seed=...)` gives the same attempt again; `reset(options={"scene": SceneSpec})` plays that very start. The
@@ -117,7 +128,7 @@ class PickPlaceEnv(gym.Env[Seen, NDArray[np.float32]]):
         render_mode: "rgb_array" or None.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": int(CONTROL_HZ)}
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": int(CONTROL_HZ)}  # noqa: RUF012
 
     def __init__(self, robot: str = "arm", scene: str = "table", task: str = "pick-place", stratum: str = "common", *,
                  randomize: bool = False, max_episode_steps: int | None = None,
@@ -151,10 +162,12 @@ class PickPlaceEnv(gym.Env[Seen, NDArray[np.float32]]):
         if world.command.ticks[0] >= self._limit:
             raise SimulationError("the attempt is over", where=f"tick {self._limit}", mend="call reset() first")
         world.act(usable(action, (len(ACTION),))[None], self._ids)
-        terms = {name: float(value[0]) for name, value in world.rewards(self._ids).items()}
+        rewards = world.rewards(self._ids)
+        terms = {name: float(value[0]) for name, value in rewards.items()}
         success = bool(world.succeeded(self._ids)[0])
         over = bool(world.command.ticks[0] >= self._limit)
-        return self._seen(world), sum(terms.values()), success, over, {"is_success": success, "reward_terms": terms}
+        info: dict[str, Any] = {"is_success": success, "reward_terms": terms}
+        return self._seen(world), float(total(rewards)[0]), success, over, info
 
     @override
     def render(self) -> NDArray[np.uint8] | None:

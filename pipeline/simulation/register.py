@@ -14,5 +14,6 @@ def register() -> None:
     `gymnasium.make("pipeline.simulation.registered:hardcase/PickPlace-v0")`.
     """
     if ID not in gym.registry:
-        gym.register(ID, entry_point="pipeline.simulation.gym_env:PickPlaceEnv", max_episode_steps=TICKS,
-                     vector_entry_point="pipeline.simulation.vector_env:PickPlaceVectorEnv")
+        gym.register(  # pyright: ignore[reportUnknownMemberType]
+            ID, entry_point="pipeline.simulation.gym_env:PickPlaceEnv", max_episode_steps=TICKS,
+            vector_entry_point="pipeline.simulation.vector_env:PickPlaceVectorEnv")

@@ -1,17 +1,30 @@
 """Many attempts as a Gymnasium vector environment, all in one Batch."""
 
+# an array of infos holds whatever the environment tells
+# pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false, reportUnknownVariableType=false
+
 from collections.abc import Mapping, Sequence
 from typing import Any, override
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.utils import seeding
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from pipeline.errors import ConfigError
 from pipeline.frames import ACTION
 from pipeline.protocols import Ids
-from pipeline.simulation.gym_env import PickPlaceEnv, Seen, Starts, action_space, observation_space, seen, usable
+from pipeline.simulation.gym_env import (
+    PickPlaceEnv,
+    Seen,
+    Starts,
+    action_space,
+    observation_space,
+    seen,
+    total,
+    usable,
+)
 from pipeline.simulation.physics import from_draws
 from pipeline.simulation.tasks import load_task
 from pipeline.simulation.world import World
@@ -20,7 +33,7 @@ type Flags = NDArray[np.bool_]
 type Step = tuple[Seen, NDArray[np.float64], Flags, Flags, dict[str, Any]]
 
 
-class PickPlaceVectorEnv(gym.vector.VectorEnv[Seen, NDArray[np.float32], NDArray[Any]]):
+class PickPlaceVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
     """n attempts side by side, equal step for step to n single environments with the same seeds.
 
     Attempts that ended begin anew at the next step, whose action they ignore (Gymnasium's NEXT_STEP).
@@ -62,7 +75,7 @@ class PickPlaceVectorEnv(gym.vector.VectorEnv[Seen, NDArray[np.float32], NDArray
                                   mend=f"give {self.num_envs} {name}")
         for i, one in enumerate(seeds):
             if one is not None or self._rngs[i] is None:
-                self._rngs[i] = gym.utils.seeding.np_random(one)[0]
+                self._rngs[i] = seeding.np_random(one)[0]
         self._over[:] = False
         infos = self._begin(self._all, scenes)
         return seen(self._running(), self._all), infos
@@ -77,7 +90,7 @@ class PickPlaceVectorEnv(gym.vector.VectorEnv[Seen, NDArray[np.float32], NDArray
         if len(going):
             world.act(action[going], going)
             terms = world.rewards(going)
-            reward[going], success[going] = sum(terms.values()), world.succeeded(going)
+            reward[going], success[going] = total(terms), world.succeeded(going)
             late[going] = world.command.ticks[going] >= self._limit
             self._tell(infos, going, {"is_success": success[going], "reward_terms": terms})
         self._over = success | late
