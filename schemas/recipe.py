@@ -11,7 +11,7 @@ class CollectConfig(Frozen):
     """Scripted demonstrations of generation 0."""
 
     demonstrations: int = Field(50, ge=1)
-    max_ticks: int = Field(200, ge=20, description="length limit of an attempt [ticks]")
+    max_ticks: int = Field(150, ge=20, description="length limit of an attempt [ticks]")
 
 
 class AugmentConfig(Frozen):
@@ -46,7 +46,7 @@ class TrainConfig(Frozen):
     """Behaviour cloning."""
 
     policy: Name = "chunked"
-    chunk: int = Field(16, ge=1, description="actions predicted at once")
+    chunk: int = Field(8, ge=1, description="actions predicted at once")
     width: int = Field(256, ge=8)
     depth: int = Field(2, ge=1)
     steps: int = Field(1500, ge=1)

@@ -68,9 +68,10 @@ def augment(parents: Sequence[Parent], config: AugmentConfig, *, replays: int, r
     episodes: list[Episode] = []
     frames: dict[str, Frames] = {}
     for transform, count in (("replay", replays), ("retarget", retargets)):
-        if not count:
+        able = [p for p in parents if transform == "replay" or _grasps(p)]
+        if not count or not able:
             continue
-        made = _variants(parents, transform, count, config, seed, generation, strata)
+        made = _variants(able, transform, count, config, seed, generation, strata)
         for episode, kept in _play(made, threads):
             episodes.append(episode)
             frames[episode.id] = kept
@@ -146,9 +147,24 @@ def _play(variants: Sequence[_Variant], threads: int) -> list[tuple[Episode, Fra
             for v, trace, ok, (_, begins) in zip(variants, tracer.traces(), result.success, actions, strict=True)]
 
 
+def _begins(episode: Episode) -> int:
+    """First frame that a demonstrator commanded; those before are a failing policy's."""
+    return next((s.start for s in episode.segments if s.kind != "autonomous"), 0)
+
+
+def _grasps(parent: Parent) -> bool:
+    """Whether the demonstrator's part holds a grasp: one who took over with the object in hand shows none."""
+    episode, frames = parent
+    try:
+        path_of(frames, f"episode {episode.id}", _begins(episode))
+    except SimulationError:
+        return False
+    return True
+
+
 def _actions(variant: _Variant, seen: Array) -> tuple[Array, int]:
-    """What to send, and the action from which a demonstrator acts: earlier ones are a failing policy's."""
-    begins = next((s.start for s in variant.parent.segments if s.kind != "autonomous"), 0)
+    """What to send, and the action from which a demonstrator acts."""
+    begins = _begins(variant.parent)
     if variant.episode.transform == "replay":
         return variant.frames.action.astype(np.float64), begins
     path = path_of(variant.frames, f"episode {variant.parent.id}", begins)
