@@ -18,6 +18,9 @@ class Arm:
     whole_workspace: bool = False
     """Retargeting aims at every kind of start, from generation 0 on."""
     oracle: bool = False
+    widen: float | None = None
+    """Factor on the width of every randomization."""
+    keep_rejected: bool = False
 
     @property
     def deploys(self) -> bool:
@@ -26,10 +29,15 @@ class Arm:
 
     def recipe(self, recipe: Recipe) -> Recipe:
         """The recipe as this arm runs it."""
-        return recipe.model_copy(update={
-            "harvest": recipe.harvest.model_copy(update={"oracle": self.oracle}),
-            "dataset": recipe.dataset.model_copy(update={"sources": (*recipe.dataset.sources, "oracle")}),
-        }) if self.oracle else recipe
+        changes: dict[str, object] = {}
+        if self.oracle:
+            changes["harvest"] = recipe.harvest.model_copy(update={"oracle": True})
+            sources = (*recipe.dataset.sources, "oracle")
+            changes["dataset"] = recipe.dataset.model_copy(update={"sources": sources})
+        if self.widen is not None:
+            wide = {"widen": self.widen, "keep_rejected": self.keep_rejected}
+            changes["augment"] = recipe.augment.model_copy(update=wide)
+        return recipe.model_copy(update=changes) if changes else recipe
 
 
 LOOP = ""
@@ -42,6 +50,9 @@ ARMS: MappingProxyType[str, Arm] = MappingProxyType({
     "failed-starts": Arm("whole demonstrations at the starts that failed", new_data="failed-starts"),
     "whole-workspace": Arm("retargeting over the whole workspace, no new data", new_data="none",
                            whole_workspace=True),
+    "wide": Arm("randomization 2.5 times as wide, no new data", new_data="none", widen=2.5),
+    "wide-unfiltered": Arm("the same with the rejected variants left in", new_data="none", widen=2.5,
+                           keep_rejected=True),
     "oracle": Arm("oracle: rewinds and corrects from true state", oracle=True),
 })
 """Name of the arm -> what it does; the empty name is the loop itself."""

@@ -10,6 +10,7 @@ from pipeline.recording import read_episode, read_frames
 from pipeline.shards import read_shard
 from pipeline.store import Store
 from pipeline.trace import Trace
+from pipeline.triggers import stratum_of
 from schemas.dataset import DatasetVersion
 from schemas.episode import VARIANTS, Episode
 
@@ -87,8 +88,12 @@ class Material:
         return self._store.version(self.ids(generation, "build")[0])
 
     def harvested_strata(self) -> list[str]:
-        """Kinds of start of the hard cases so far that are not common, in the order they were met."""
-        return [s for s in dict.fromkeys(c.stratum for c in self._store.hard_cases(run=self._run)) if s != "common"]
+        """Kinds of start met so far that are not common, as perceived: of hard cases, or of a control's demonstrations."""
+        met = [c.stratum for c in self._store.hard_cases(run=self._run)]
+        later = [s.generation for s in self._store.steps(self._run) if s.stage == "harvest"]
+        shown = [e for g in later for e in self._store.episodes(self.ids(g, "harvest")) if e.origin == "scripted"]
+        met += [stratum_of(self.frames(e).environment[0]) for e in shown]
+        return [s for s in dict.fromkeys(met) if s != "common"]
 
     def exams(self) -> Iterator[tuple[str, dict[str, Any]]]:
         """Policy -> exam result, of every policy that this run has examined."""

@@ -82,7 +82,7 @@ class Steps:
     def __init__(self, store: Store, lease: Lease, recipe: Recipe, seed: int, twin: int, arm: str,
                  base: "Steps | None" = None) -> None:
         self.store, self.arm, self.base, self.seed, self.twin = store, arm_of(arm), base, seed, twin
-        self._lease, self.recipe = lease, self.arm.recipe(recipe)
+        self.lease, self.recipe = lease, self.arm.recipe(recipe)
         self.run, self.control = run_id(recipe, seed, twin, arm), None
         self.name = arm
         self._material = Material(store, self.run)
@@ -168,7 +168,7 @@ class Steps:
     def rollback(self) -> StepResult:
         """Put the champion before the present one back."""
         back = rollback(self.store.releases(self.run))
-        with self.store.commit(self._lease, self.run) as tx:
+        with self.store.commit(self.lease, self.run) as tx:
             tx.add_release(back)
         return StepResult((back.policy,), f"release {back.number}: {back.policy} is champion again")
 
@@ -310,13 +310,13 @@ class Steps:
         if done is None and self._shares(generation, stage) and self.base is not None:
             done = self.store.step(self.base.run, generation, stage)
             if done is not None:
-                with self.store.commit(self._lease, self.run) as tx:
+                with self.store.commit(self.lease, self.run) as tx:
                     tx.finish_step(generation, stage, inputs=done.inputs, outputs=done.outputs, code=done.code)
         if done is not None:
             return StepResult(tuple(str(i) for i in _list(done.outputs["ids"])), str(done.outputs["says"]), resumed=True)
         began = time.monotonic()
         made = work()
-        with self.store.commit(self._lease, self.run) as tx:
+        with self.store.commit(self.lease, self.run) as tx:
             made.write(tx)
             tx.finish_step(generation, stage, inputs=self._material.inputs(generation, stage),
                            outputs={"ids": list(made.ids), "says": made.says, **made.numbers},
@@ -324,8 +324,10 @@ class Steps:
         return StepResult(made.ids, made.says)
 
     def _shares(self, generation: int, stage: str) -> bool:
-        if generation or self.arm.whole_workspace:
+        if generation:
             return False
+        if self.arm.whole_workspace or self.arm.widen is not None:
+            return stage == "collect"
         return stage in SHARED or (stage == "deploy" and self.arm.deploys)
 
     def _recorded(self, recorded: "list[Recorded] | tuple[Recorded, ...]", says: str,

@@ -39,7 +39,7 @@ class PickPlace(Frozen):
     open_m: float = Field(0.066, description="finger opening that counts as open")
     hold_ticks: int = 4
     weights: dict[str, float] = Field(
-        {"reach": 0.1, "grasp": 0.2, "carry": 0.5, "success": 5.0, "effort": -0.001},
+        {"reach": 0.1, "grasp": 0.2, "carry": 0.5, "success": 5.0, "effort": -1.0},
         description="reward terms: exp(-tool to cube / 0.1 m), held, exp(-cube to target / 0.1 m), success, |dq|^2",
     )
 

@@ -1,0 +1,110 @@
+"""Study: the loop beside its controls over several seeds, pooled; the numbers that docs/results.md shows."""
+
+import json as jsonlib
+import os
+from collections.abc import Mapping
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from flows.opening import FIRST_HELD_OUT_TWIN
+from pipeline.files import atomic
+from pipeline.recipes import load_recipe
+from pipeline.store import store_root
+from schemas.recipe import Recipe
+
+ARMS_RUN = ("", "random", "random-seconds", "failed-starts", "whole-workspace", "oracle", "wide", "wide-unfiltered")
+"""Arms in the order they run; a control arm shares generation 0 with the loop where it can."""
+
+WORKERS = 2
+"""Seeds run side by side, each on one thread: two cores are used better so than by two threads for one."""
+
+
+def run_study(*, seeds: int, recipe: str, json: Path | None) -> dict[str, Any]:
+    """Run every arm for every seed, print the pooled table, and hand back everything.
+
+    Finished seeds are kept beside the store, so that an interrupted study goes on where it was.
+
+    Args:
+        seeds: how many; seed k has twin 100 + k, data seed k and training seeds from k.
+        recipe: name or path.
+        json: where to write all of it.
+    """
+    from flows.pooling import pool, tables
+
+    loaded, folder = load_recipe(recipe), store_root() / "study" / Path(recipe).stem
+    folder.mkdir(parents=True, exist_ok=True)
+    console, results = Console(stderr=True), {}
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    with ProcessPoolExecutor(WORKERS, mp_context=get_context("spawn")) as workers:
+        jobs = {workers.submit(study_seed, k, loaded, folder): k for k in range(seeds)}
+        for job in as_completed(jobs):
+            results[jobs[job]] = job.result()
+            console.print(f"seed {jobs[job]} finished, {len(results)} of {seeds}")
+    pooled = pool([results[k] for k in range(seeds)], loaded)
+    Console().print(tables(pooled))
+    everything = {"recipe": loaded.name, "seeds": [results[k] for k in range(seeds)], "pooled": pooled}
+    if json is not None:
+        with atomic(json) as stream:
+            stream.write(jsonlib.dumps(everything, indent=1).encode() + b"\n")
+    return everything
+
+
+def study_seed(seed: int, recipe: Recipe, folder: Path) -> dict[str, Any]:
+    """Every arm of one seed, in a store of its own; returns what `arm_result` gives for each."""
+    from flows.arms import ARMS
+    from flows.steps import Steps, open_run
+
+    done = folder / f"seed-{seed}.json"
+    if done.exists():
+        return jsonlib.loads(done.read_text())
+    recipe = recipe.model_copy(update={"threads": 1})
+    twin, found = FIRST_HELD_OUT_TWIN + seed, dict[str, Any]()
+    with open_run(folder / f"store-{seed}", recipe, seed=seed, twin=twin, control=False) as loop:
+        for name in ARMS_RUN:
+            arm = loop if name == "" else Steps(loop.store, loop.lease, recipe, seed, twin, name, loop)
+            turn(arm, 0 if ARMS[name].new_data == "none" else recipe.generations)
+            found[name] = arm_result(arm)
+    result = {"seed": seed, "twin": twin, "arms": found}
+    with atomic(done) as stream:
+        stream.write(jsonlib.dumps(result).encode())
+    return result
+
+
+def turn(steps: Any, last: int) -> None:
+    """Every lap of one arm, without Prefect; tells the same story as flows.loop.turn."""
+    steps.collect(0, _silent)
+    for generation in range(last + 1):
+        for stage in ("augment", "build", "train", "gate", "release", "exam"):
+            getattr(steps, stage)(generation, _silent)
+        if generation < last:
+            steps.deploy(generation, _silent)
+            steps.harvest(generation, _silent)
+
+
+def _silent(done: int, total: int) -> None:
+    """Nobody watches a study stage by stage."""
+
+
+def arm_result(steps: Any) -> dict[str, Any]:
+    """Lap by lap: exam of champion and candidate, scene by scene, and what the gate and the triggers said."""
+    from flows import summary
+
+    laps: list[Mapping[str, Any]] = []
+    for g, exam in enumerate(summary.examined(steps)):
+        verdict = steps.store.verdict(str(summary.outputs(steps, g, "gate")["ids"][0]))
+        laps.append({
+            "generation": g, "robot_s": steps.robot_seconds(g), "decision": verdict.decision, "p": verdict.p,
+            "gate": [r.model_dump() for r in verdict.strata], "scenes": verdict.scenes,
+            "strata": exam["results"][exam["champion"]]["strata"],
+            "champion": exam["results"][exam["champion"]]["bits"],
+            "candidate": exam["results"][exam["candidate"]]["bits"],
+            "augment": (summary.outputs(steps, g, "augment") or {}).get("report"),
+            "asked": (summary.outputs(steps, g, "harvest") or {}).get("asked"),
+            "wall_s": summary.wall(steps, g),
+        })
+    return {"says": steps.arm.says, "laps": laps,
+            "triggers": [t.triggers.model_dump() if t.triggers else None for t in summary.laps(steps)]}
