@@ -2,7 +2,7 @@
 
 import hashlib
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import NamedTemporaryFile
@@ -10,20 +10,19 @@ from typing import IO
 
 
 @contextmanager
-def atomic(path: Path) -> Iterator[IO[bytes]]:
+def atomic(path: Path) -> Generator[IO[bytes]]:
     """Write all of `path` or none of it: readers never see half a file."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    tmp = NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False)
-    try:
-        with tmp:
+    with NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as tmp:
+        try:
             yield tmp  # type: ignore[misc]
             tmp.flush()
             os.fsync(tmp.fileno())  # the name must not outlive a power cut its bytes did not
-        Path(tmp.name).replace(path)
-        sync_folder(path.parent)
-    except BaseException:
-        Path(tmp.name).unlink(missing_ok=True)
-        raise
+            Path(tmp.name).replace(path)
+            sync_folder(path.parent)
+        except BaseException:
+            Path(tmp.name).unlink(missing_ok=True)
+            raise
 
 
 def sync_folder(folder: Path) -> None:

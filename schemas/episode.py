@@ -4,7 +4,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from schemas.base import Frozen, Name, Sha256, ShortId
+from schemas.base import Frozen, Sha256, ShortId
 from schemas.scene import SceneSpec
 
 type Origin = Literal["scripted", "teleop", "replayed", "retargeted", "deployed", "corrected", "oracle"]
@@ -34,9 +34,9 @@ class Outcome(Frozen):
 
     label: Literal["success", "failure", "unknown"]
     judged_by: Literal["simulator", "sensors", "operator"]
-    trigger: str | None = Field(None, description="name of the trigger that fired first")
-    family: str | None = Field(None, description="failure family; None for a success")
-    tick: int | None = Field(None, ge=0, description="tick at which the trigger fired")
+    trigger: str | None = Field(default=None, description="name of the trigger that fired first")
+    family: str | None = Field(default=None, description="failure family; None for a success")
+    tick: int | None = Field(default=None, ge=0, description="tick at which the trigger fired")
     reason: str | None = None
 
 
@@ -50,12 +50,12 @@ class Episode(Frozen):
     frames: int = Field(gt=0)
     outcome: Outcome
     segments: tuple[Segment, ...]
-    parent: ShortId | None = Field(None, description="episode this one was made from")
-    transform: str | None = Field(None, description="how it was made from its parent")
-    policy: ShortId | None = Field(None, description="policy that acted, if one did")
+    parent: ShortId | None = Field(default=None, description="episode this one was made from")
+    transform: str | None = Field(default=None, description="how it was made from its parent")
+    policy: ShortId | None = Field(default=None, description="policy that acted, if one did")
     generation: int = Field(ge=0)
-    blob: Sha256 | None = Field(None, description="the MCAP recording, or the shard of variant frames")
-    consent: str = Field("simulated", description="consent record; 'simulated' where no person was recorded")
+    blob: Sha256 | None = Field(default=None, description="the MCAP recording, or the shard of variant frames")
+    consent: str = Field(default="simulated", description="consent record; 'simulated' where no person was recorded")
 
     @property
     def duration_s(self) -> float:

@@ -21,4 +21,4 @@ class PolicyRecord(Frozen):
     train_loss: tuple[tuple[int, float], ...] = Field(description="(step, smooth L1 on normalised actions)")
     held_out_loss: tuple[tuple[int, float], ...]
     onnx_error: float = Field(ge=0, description="largest |torch - ONNX| over the parity batch, action units")
-    metrics: dict[str, float] = {}
+    metrics: dict[str, float] = Field(default={})

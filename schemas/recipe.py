@@ -10,18 +10,18 @@ from schemas.base import Frozen, Name
 class CollectConfig(Frozen):
     """Scripted demonstrations of generation 0."""
 
-    demonstrations: int = Field(50, ge=1)
-    max_ticks: int = Field(150, ge=20, description="length limit of an attempt [ticks]")
+    demonstrations: int = Field(default=50, ge=1)
+    max_ticks: int = Field(default=150, ge=20, description="length limit of an attempt [ticks]")
 
 
 class AugmentConfig(Frozen):
     """How demonstrations and corrections are multiplied."""
 
-    replays: int = Field(150, ge=0, description="variants by replayed commands, at generation 0")
-    retargets: int = Field(250, ge=0, description="variants by object-centric retargeting, at generation 0")
-    per_correction: int = Field(6, ge=0, description="variants of every successful correction, later")
-    widen: float = Field(1.0, gt=0, le=5, description="factor on every range; above 1 the filter has work")
-    keep_rejected: bool = Field(False, description="control arm: failed variants are left in")
+    replays: int = Field(default=150, ge=0, description="variants by replayed commands, at generation 0")
+    retargets: int = Field(default=250, ge=0, description="variants by object-centric retargeting, at generation 0")
+    per_correction: int = Field(default=6, ge=0, description="variants of every successful correction, later")
+    widen: float = Field(default=1.0, gt=0, le=5, description="factor on every range; above 1 the filter has work")
+    keep_rejected: bool = Field(default=False, description="control arm: failed variants are left in")
 
 
 class DatasetConfig(Frozen):
@@ -29,9 +29,10 @@ class DatasetConfig(Frozen):
 
     sources: tuple[str, ...] = ("scripted", "replayed", "retargeted", "corrected")
     weights: dict[str, float] = Field(
-        {"base": 0.6, "corrections": 0.4}, description="share of each training batch; renormalised over what exists"
+        default={"base": 0.6, "corrections": 0.4},
+        description="share of each training batch; renormalised over what exists",
     )
-    held_out: float = Field(0.1, ge=0, lt=0.5, description="share of lineages in the validation split")
+    held_out: float = Field(default=0.1, ge=0, lt=0.5, description="share of lineages in the validation split")
     only_success: bool = True
 
     @model_validator(mode="after")
@@ -46,23 +47,23 @@ class TrainConfig(Frozen):
     """Behaviour cloning."""
 
     policy: Name = "chunked"
-    chunk: int = Field(8, ge=1, description="actions predicted at once")
-    width: int = Field(256, ge=8)
-    depth: int = Field(2, ge=1)
-    steps: int = Field(1500, ge=1)
-    batch: int = Field(256, ge=1)
-    learning_rate: float = Field(1e-3, gt=0)
-    checkpoint_every: int = Field(500, ge=1, description="steps between resumable checkpoints")
+    chunk: int = Field(default=8, ge=1, description="actions predicted at once")
+    width: int = Field(default=256, ge=8)
+    depth: int = Field(default=2, ge=1)
+    steps: int = Field(default=1500, ge=1)
+    batch: int = Field(default=256, ge=1)
+    learning_rate: float = Field(default=1e-3, gt=0)
+    checkpoint_every: int = Field(default=500, ge=1, description="steps between resumable checkpoints")
 
 
 class GateConfig(Frozen):
     """The sequential paired test of a candidate."""
 
-    looks: tuple[int, ...] = Field((200, 400, 800), description="scenes at each look, fixed beforehand")
-    alpha: float = Field(0.05, gt=0, lt=0.5, description="error over all looks and strata together")
-    margin: float = Field(0.05, gt=0, lt=1, description="largest loss that a stratum may hide")
-    bootstrap_success: float = Field(0.5, ge=0, le=1, description="lower Wilson bound generation 0 must reach")
-    rare_share: float = Field(0.3, gt=0, lt=1, description="share of gate scenes from harvested strata")
+    looks: tuple[int, ...] = Field(default=(200, 400, 800), description="scenes at each look, fixed beforehand")
+    alpha: float = Field(default=0.05, gt=0, lt=0.5, description="error over all looks and strata together")
+    margin: float = Field(default=0.05, gt=0, lt=1, description="largest loss that a stratum may hide")
+    bootstrap_success: float = Field(default=0.5, ge=0, le=1, description="lower Wilson bound generation 0 must reach")
+    rare_share: float = Field(default=0.3, gt=0, lt=1, description="share of gate scenes from harvested strata")
 
     @model_validator(mode="after")
     def looks_rise(self) -> Self:
@@ -75,31 +76,33 @@ class GateConfig(Frozen):
 class DeployConfig(Frozen):
     """Robot time on the twin."""
 
-    episodes: int = Field(150, ge=1)
-    rare_share: float = Field(0.12, ge=0, le=1)
+    episodes: int = Field(default=150, ge=1)
+    rare_share: float = Field(default=0.12, ge=0, le=1)
     shadow: bool = True
 
 
 class HarvestConfig(Frozen):
     """Triggers and corrections."""
 
-    corrections: int = Field(12, ge=0, description="a generation")
-    stall_ticks: int = Field(30, ge=1)
-    stall_progress_m: float = Field(0.004, gt=0)
-    closed_gap_m: float = Field(0.012, gt=0, description="finger opening below which nothing is held [m]")
-    closed_ticks: int = Field(8, ge=1)
-    operator_delay_ticks: int = Field(4, ge=0)
-    operator_aim_sd_m: float = Field(0.004, ge=0)
-    operator_gross_error: float = Field(0.1, ge=0, le=1)
-    oracle: bool = Field(False, description="rewind and correct from true state: a labelled arm, never the default")
-    rewind_ticks: int = Field(10, ge=0, description="oracle arm only")
+    corrections: int = Field(default=12, ge=0, description="a generation")
+    stall_ticks: int = Field(default=30, ge=1)
+    stall_progress_m: float = Field(default=0.004, gt=0)
+    closed_gap_m: float = Field(default=0.012, gt=0, description="finger opening below which nothing is held [m]")
+    closed_ticks: int = Field(default=8, ge=1)
+    operator_delay_ticks: int = Field(default=4, ge=0)
+    operator_aim_sd_m: float = Field(default=0.004, ge=0)
+    operator_gross_error: float = Field(default=0.1, ge=0, le=1)
+    oracle: bool = Field(
+        default=False, description="rewind and correct from true state: a labelled arm, never the default"
+    )
+    rewind_ticks: int = Field(default=10, ge=0, description="oracle arm only")
 
 
 class ExamConfig(Frozen):
     """The same twin starts in every generation, read by the report and by no decision."""
 
-    common: int = Field(300, ge=1)
-    rare: int = Field(100, ge=1)
+    common: int = Field(default=300, ge=1)
+    rare: int = Field(default=100, ge=1)
 
 
 class Recipe(Frozen):
@@ -109,9 +112,9 @@ class Recipe(Frozen):
     robot: Name = "arm"
     scene: Name = "table"
     task: Name = "pick-place"
-    generations: int = Field(3, ge=0, description="after generation 0")
+    generations: int = Field(default=3, ge=0, description="after generation 0")
     engine: Literal["local"] = "local"
-    threads: int = Field(2, ge=1)
+    threads: int = Field(default=2, ge=1)
     collect: CollectConfig = CollectConfig()
     augment: AugmentConfig = AugmentConfig()
     dataset: DatasetConfig = DatasetConfig()

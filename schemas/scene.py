@@ -34,5 +34,5 @@ class SceneSpec(Frozen):
     object_yaw_rad: float
     object_half_m: float = Field(gt=0, description="half edge of the cube [m]")
     target_xy_m: tuple[float, float]
-    draws: tuple[Draw, ...] = Field((), description="randomized physics; empty means nominal, or a twin's own")
-    twin: int | None = Field(None, description="seed of the twin whose hidden physics apply")
+    draws: tuple[Draw, ...] = Field(default=(), description="randomized physics; empty means nominal, or a twin's own")
+    twin: int | None = Field(default=None, description="seed of the twin whose hidden physics apply")

@@ -73,9 +73,9 @@ class Lap(Frozen):
     generation: int
     augment: AugmentReport | None = None
     triggers: TriggerReport | None = None
-    exam_strata: dict[str, Proportion] = {}
-    candidate_exam: Proportion | None = Field(None, description="exam of the candidate, released or not")
-    rewards: dict[str, tuple[float, ...]] = Field({}, description="reward term -> mean by tick over the exam")
+    exam_strata: dict[str, Proportion] = Field(default={})
+    candidate_exam: Proportion | None = Field(default=None, description="exam of the candidate, released or not")
+    rewards: dict[str, tuple[float, ...]] = Field(default={}, description="reward term -> mean by tick over the exam")
     correction_success: Proportion | None = None
-    frames_by_source: dict[str, int] = {}
-    shadow_disagreement: tuple[float, float] | None = Field(None, description="mean on successes, on failures")
+    frames_by_source: dict[str, int] = Field(default={})
+    shadow_disagreement: tuple[float, float] | None = Field(default=None, description="mean on successes, on failures")

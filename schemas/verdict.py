@@ -23,11 +23,11 @@ class StratumResult(Frozen):
     stratum: str
     candidate: Proportion
     champion: Proportion | None = None
-    fixed: int = Field(0, ge=0, description="scenes the champion fails and the candidate solves")
-    broken: int = Field(0, ge=0, description="scenes the champion solves and the candidate fails")
-    p_gain: float | None = Field(None, description="one-sided exact McNemar p of a gain, not yet corrected")
-    p_loss: float | None = Field(None, description="one-sided exact McNemar p of a loss, not yet corrected")
-    loss_upper: float | None = Field(None, description="upper bound of success lost, as a share of scenes")
+    fixed: int = Field(default=0, ge=0, description="scenes the champion fails and the candidate solves")
+    broken: int = Field(default=0, ge=0, description="scenes the champion solves and the candidate fails")
+    p_gain: float | None = Field(default=None, description="one-sided exact McNemar p of a gain, not yet corrected")
+    p_loss: float | None = Field(default=None, description="one-sided exact McNemar p of a loss, not yet corrected")
+    loss_upper: float | None = Field(default=None, description="upper bound of success lost, as a share of scenes")
 
 
 class Look(Frozen):
@@ -49,7 +49,7 @@ class Verdict(Frozen):
     reason: str
     strata: tuple[StratumResult, ...] = Field(description="'all' first, then every stratum")
     looks: tuple[Look, ...] = ()
-    p: float | None = Field(None, description="smallest multiplicity-corrected p of a gain")
+    p: float | None = Field(default=None, description="smallest multiplicity-corrected p of a gain")
     scenes: int
     margin: float
-    more_scenes: int | None = Field(None, description="further scenes that would decide; INCONCLUSIVE only")
+    more_scenes: int | None = Field(default=None, description="further scenes that would decide; INCONCLUSIVE only")
