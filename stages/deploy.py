@@ -22,7 +22,7 @@ from schemas.recipe import HarvestConfig, Recipe
 from schemas.scene import SceneSpec
 
 LOW_M = 0.012
-"""Perceived height above rest that still counts as on the table: six standard deviations of the perception noise [m]."""
+"""Perceived height above rest that still counts as on the table [m]: six standard deviations of the noise."""
 
 ACTION_SCALE = np.array([*LIMITS, OPEN_M])
 """Unit of each action value in the disagreement: the controller's limits and the full opening."""
@@ -136,7 +136,7 @@ class _Watch:
         self.trigger[ids] = which
         for attempt, index in zip(ids[which >= 0], which[which >= 0], strict=True):
             text = f"{list(TRIGGERS)[index]} in phase {self.senses.phase(attempt)}"
-            self.tracer.events[attempt].append(Event(tick, 30, "trigger", text))
+            self.tracer.events[int(attempt)].append(Event(tick, 30, "trigger", text))
         return believed | (which >= 0)
 
 

@@ -1,4 +1,6 @@
 """From traces to recordings: episode ids, attachments, files in a folder."""
+# mujoco is a compiled package without type stubs: a compiled model has no type that a checker knows
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 
 import json
 from collections.abc import Mapping, Sequence

@@ -17,14 +17,10 @@ from pipeline.simulation.world import LIMITS, OPEN_M
 
 SPEED_M, TURN_RAD = 0.019, 0.11
 """Longest step of a retargeted path a tick: just below the controller's limits."""
-
-
 ARRIVED_M, PATIENCE = 0.012, 25
 """Distance of the tool to its command at which a waiting gripper acts, and the longest wait [ticks]."""
 SETTLED_M = 0.0015
 """Change of the finger opening a tick below which a grip counts as settled."""
-
-
 LIFTED_M = 0.02
 """Rise of the object that counts as lifted [m]."""
 CLEAR_M = 0.12
@@ -130,7 +126,7 @@ def path_of(frames: Frames, where: str, begins: int = 0) -> Path:
 
 def _progress(xy: Array) -> Array:
     """Share of the horizontal way covered at each row, from 0 to 1, shape (k,)."""
-    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
+    way: Array = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
     return way / way[-1] if way[-1] > 1e-6 else np.linspace(0, 1, len(xy))
 
 
@@ -158,7 +154,7 @@ def retarget(path: Path, start: Array, seen: Array, target: Array) -> Array:
         reach += fade * (start - reach[0])
         opening = path.opening
     else:
-        over = reach[:1] + [0, 0, max(0.0, CLEAR_M - reach[0, 2]), 0]
+        over = reach[:1] + np.array([0, 0, max(0.0, CLEAR_M - reach[0, 2]), 0])
         reach = np.concatenate([start[None], over, reach])
         opening = np.concatenate([[OPEN_M, OPEN_M], path.opening])
     carry = pose[g:].copy()
