@@ -127,7 +127,7 @@ def path_of(frames: Frames, where: str, begins: int = 0) -> Path:
 def _progress(xy: Array) -> Array:
     """Share of the horizontal way covered at each row, from 0 to 1, shape (k,)."""
     way: Array = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
-    return way / way[-1] if way[-1] > 1e-6 else np.linspace(0, 1, len(xy))
+    return way / way[-1] if way[-1] > 1e-6 else np.linspace(0, 1, len(xy), dtype=np.float64)
 
 
 def retarget(path: Path, start: Array, seen: Array, target: Array) -> Array:
