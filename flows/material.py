@@ -88,7 +88,7 @@ class Material:
         return self._store.version(self.ids(generation, "build")[0])
 
     def harvested_strata(self) -> list[str]:
-        """Kinds of start met so far that are not common, as perceived: of hard cases, or of a control's demonstrations."""
+        """Rare kinds of start met so far, as perceived: those of hard cases, or of a control's demonstrations."""
         met = [c.stratum for c in self._store.hard_cases(run=self._run)]
         later = [s.generation for s in self._store.steps(self._run) if s.stage == "harvest"]
         shown = [e for g in later for e in self._store.episodes(self.ids(g, "harvest")) if e.origin == "scripted"]

@@ -1,7 +1,7 @@
 """Reporting: gathers what the report shows, film strips included, and writes the page."""
 
-from typing import TYPE_CHECKING
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 

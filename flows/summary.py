@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from flows.steps_api import STAGES
-from pipeline.statistics import compare, mcnemar
+from pipeline.statistics import compare, mcnemar, wilson
 from schemas.summary import AugmentReport, GateLine, Generation, Lap, LoopResult, Paired, TriggerReport
 from schemas.verdict import Proportion
 
@@ -83,8 +83,6 @@ def _lap(steps: "Steps", g: int, exam: dict[str, Any]) -> Lap:
     champion, strata = exam["results"][exam["champion"]], proportions(exam["results"][exam["champion"]])
     cases = steps.store.hard_cases(run=steps.run, generation=g)
     tried = [c for c in cases if c.correction]
-    from pipeline.statistics import wilson
-
     version = steps.store.version(str(outputs(steps, g, "build")["ids"][0]))  # type: ignore[index]
     frames: dict[str, int] = {}
     for episode in steps.store.episodes(version.episodes):

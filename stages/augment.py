@@ -68,7 +68,7 @@ def augment(parents: Sequence[Parent], config: AugmentConfig, *, replays: int, r
     episodes: list[Episode] = []
     frames: dict[str, Frames] = {}
     for transform, count in (("replay", replays), ("retarget", retargets)):
-        able = [p for p in parents if transform == "replay" or _grasps(p)]
+        able = [p for p in parents if transform == "replay" or grasps(p)]
         if not count or not able:
             continue
         made = _variants(able, transform, count, config, seed, generation, strata)
@@ -152,7 +152,7 @@ def _begins(episode: Episode) -> int:
     return next((s.start for s in episode.segments if s.kind != "autonomous"), 0)
 
 
-def _grasps(parent: Parent) -> bool:
+def grasps(parent: Parent) -> bool:
     """Whether the demonstrator's part holds a grasp: one who took over with the object in hand shows none."""
     episode, frames = parent
     try:

@@ -1,0 +1,107 @@
+"""The training side of a lap, from demonstrations to the release; nothing here knows the twin."""
+
+from flows import facts
+from flows.arm_run import ArmRun, Made, no_rows
+from flows.steps_api import Progress
+from pipeline.errors import GateError
+from pipeline.lerobot_view.training_data import TrainingData
+from pipeline.shards import write_shard
+from pipeline.simulation.evaluation import evaluate, gate_scenes
+from pipeline.simulation.tasks import load_task
+from schemas.scene import SceneSpec
+from stages.augment import augment, grasps
+from stages.build import build
+from stages.collect import collect
+from stages.gate import gate
+from stages.release import release
+from stages.train import train
+
+
+def collected(run: ArmRun) -> Made:
+    """Demonstrations of the scripted expert."""
+    recorded = collect(run.recipe, seed=run.seed, folder=run.folder(), software=facts.software())
+    good = sum(r.episode.outcome.label == "success" for r in recorded)
+    return run.recorded(recorded, f"{good} of {len(recorded)} demonstrations succeeded", {})
+
+
+def augmented(run: ArmRun, generation: int, progress: Progress) -> Made:
+    """Variants of what is new: of demonstrations at first, of corrections later."""
+    config = run.recipe.augment
+    parents = [e for e in run.material.fresh(generation) if e.outcome.label == "success"]
+    sources = [(e, run.material.frames(e)) for e in parents]
+    # A correction's commands fit the robot they failed on: played elsewhere they fail again. Where it shows a
+    # grasp it is carried over instead.
+    able = sum(grasps(s) for s in sources)
+    replays, retargets = (0, config.per_correction * able) if generation else (config.replays, config.retargets)
+    if not sources or replays + retargets == 0:
+        return Made((), "nothing new to multiply", {}, no_rows)
+    made = augment(sources, config, replays=replays, retargets=retargets, seed=run.seed, generation=generation,
+                   strata=None if generation else _aims(run), threads=run.recipe.threads, progress=progress)
+    kept = {e.id: made.frames[e.id] for e in made.episodes if config.keep_rejected or e.outcome.label == "success"}
+    blob = None
+    if kept:
+        shard = run.folder() / f"variants-{run.run}-{generation}.arrow"
+        write_shard(shard, kept)
+        blob = run.store.put_blob(shard, move=True)
+    episodes = [e.model_copy(update={"blob": blob if e.id in kept else None}) for e in made.episodes]
+    says = f"{len(kept)} of {len(episodes)} variants kept"
+    return Made(tuple(kept), says, {"report": made.report.model_dump(mode="json")},
+                lambda tx: tx.add_episodes(episodes))
+
+
+def _aims(run: ArmRun) -> tuple[str, ...]:
+    """Kinds of start that demonstrations are carried over to; only those of a cube that the demonstrator held."""
+    task = load_task(run.recipe.task)
+    if not run.arm.whole_workspace:
+        return task.common
+    half_m = task.strata[task.common[0]].half_m
+    return (*task.common, *(name for name in task.rare if task.strata[name].half_m == half_m))
+
+
+def built(run: ArmRun, generation: int) -> Made:
+    """The dataset version of everything so far."""
+    parent = run.material.version(generation - 1) if generation else None
+    version = build(run.material.episodes(generation), run.material.frames, run.recipe, store=run.store.root,
+                    task=load_task(run.recipe.task).instruction, generation=generation, parent=parent)
+    says = f"{len(version.episodes)} episodes, {version.frames} frames"
+    return Made((version.id,), says, {"frames": version.frames}, lambda tx: tx.add_version(version))
+
+
+def trained(run: ArmRun, generation: int, progress: Progress) -> Made:
+    """The candidate."""
+    version = run.material.version(generation)
+    data = TrainingData.load(run.store.path(version.path))
+    policy = train(version, data, run.recipe.train, seed=1000 * run.seed + generation, store=run.store.root,
+                   progress=lambda done, total, loss: progress(done, total))
+    says = f"loss {policy.train_loss[-1][1]:.3f}, ONNX within {policy.onnx_error:.0e}"
+    return Made((policy.id,), says, {}, lambda tx: tx.add_policy(policy))
+
+
+def judged(run: ArmRun, generation: int, progress: Progress) -> Made:
+    """Candidate against champion in the training-side simulation."""
+    candidate, champion, recipe = run.candidate(generation), run.store.champion(run.run), run.recipe
+    rare = run.material.harvested_strata()
+    policies = {p: run.policy(p) for p in {candidate, *((champion.policy,) if champion else ())}}
+
+    def scenes(start: int, stop: int) -> list[SceneSpec]:
+        return gate_scenes(recipe.task, recipe.robot, recipe.scene, seed=run.seed, generation=generation,
+                           start=start, stop=stop, rare=rare, rare_share=recipe.gate.rare_share)
+
+    verdict = gate(candidate, champion.policy if champion else None, generation=generation, scenes=scenes,
+                   evaluate=lambda p, s: evaluate(policies[p], s, threads=recipe.threads).success,
+                   config=recipe.gate, progress=progress)
+    return Made((verdict.id,), f"{verdict.decision}: {verdict.reason}", {}, lambda tx: tx.add_verdict(verdict))
+
+
+def released(run: ArmRun, generation: int) -> Made:
+    """The champion after the verdict."""
+    verdict = run.store.verdict(run.material.ids(generation, "gate")[0])
+    champion = run.store.champion(run.run)
+    if verdict.decision in ("PASS", "BOOTSTRAP"):
+        new = release(verdict, champion, run.store.policy(verdict.candidate))
+        return Made((new.policy,), f"{verdict.decision}: release {new.number}", {"released": True},
+                    lambda tx: tx.add_release(new))
+    if champion is None:
+        raise GateError(f"generation 0 is not good enough to deploy: {verdict.reason}", where=f"run {run.run}",
+                        mend="collect more demonstrations, or lower gate.bootstrap_success in the recipe")
+    return Made((champion.policy,), f"{verdict.decision}: the champion stays", {"released": False}, no_rows)
