@@ -11,6 +11,16 @@ GROSS_M = (0.03, 0.06)
 """How far a gross error misses [m]."""
 
 
+def aim_error(seed: int, config: HarvestConfig) -> Array:
+    """How far beside the object the stand-in aims in one attempt: x, y [m]; a gross error now and then."""
+    rng = np.random.default_rng([seed, 11])
+    error = rng.normal(0, config.operator_aim_sd_m, 2)
+    angle, far, gross = rng.uniform(0, 2 * np.pi), rng.uniform(*GROSS_M), rng.random()
+    if gross < config.operator_gross_error:
+        error = far * np.array([np.cos(angle), np.sin(angle)])
+    return error
+
+
 class Operator:
     """Drives attempts from where they stand, as the expert would with these eyes.
 
@@ -24,14 +34,7 @@ class Operator:
     def __init__(self, world: World, config: HarvestConfig, seeds: list[int], *, perfect: bool = False) -> None:
         self._world, self._expert = world, Expert()
         self.delay = 0 if perfect else config.operator_delay_ticks
-        self._aim = np.zeros((world.n, 2))
-        for row, seed in enumerate(seeds):
-            rng = np.random.default_rng([seed, 11])
-            error = rng.normal(0, config.operator_aim_sd_m, 2)
-            angle, far, gross = rng.uniform(0, 2 * np.pi), rng.uniform(*GROSS_M), rng.random()
-            if gross < config.operator_gross_error:
-                error = far * np.array([np.cos(angle), np.sin(angle)])
-            self._aim[row] = 0 if perfect else error
+        self._aim = np.zeros((world.n, 2)) if perfect else np.array([aim_error(seed, config) for seed in seeds])
         self._tick = np.zeros(world.n, int)
 
     def reset(self, n: int) -> None:
