@@ -17,7 +17,7 @@ class Stratum(Frozen):
     y_abs_m: tuple[float, float]
     yaw_rad: tuple[float, float] = (-np.pi / 4, np.pi / 4)
     half_m: float = 0.02
-    rare_share: float = Field(0.0, ge=0, le=1, description="share of the rare starts; 0 for a common kind")
+    rare_share: float = Field(default=0.0, ge=0, le=1, description="share of the rare starts; 0 for a common kind")
 
 
 class PickPlace(Frozen):
@@ -25,21 +25,21 @@ class PickPlace(Frozen):
 
     instruction: str = "Pick up the cube and place it on the mark."
     ticks: int = 150
-    strata: dict[str, Stratum] = {
+    strata: dict[str, Stratum] = Field(default={
         "common": Stratum(x_m=(0.24, 0.38), y_abs_m=(0.0, 0.13)),
         "beside": Stratum(x_m=(0.04, 0.14), y_abs_m=(0.23, 0.31), rare_share=0.75),
         "large": Stratum(x_m=(0.24, 0.38), y_abs_m=(0.0, 0.13), half_m=0.031, rare_share=0.25),
-    }
+    })
     target_x_m: tuple[float, float] = (0.22, 0.40)
     target_y_m: tuple[float, float] = (-0.16, 0.16)
     target_away_m: float = 0.10
-    within_m: float = Field(0.025, description="cube to target, horizontally")
-    on_table_m: float = Field(0.006, description="cube's height above rest")
+    within_m: float = Field(default=0.025, description="cube to target, horizontally")
+    on_table_m: float = Field(default=0.006, description="cube's height above rest")
     hand_away_m: float = 0.05
-    open_m: float = Field(0.066, description="finger opening that counts as open")
+    open_m: float = Field(default=0.066, description="finger opening that counts as open")
     hold_ticks: int = 4
     weights: dict[str, float] = Field(
-        {"reach": 0.1, "grasp": 0.2, "carry": 0.5, "success": 5.0, "effort": -1.0},
+        default={"reach": 0.1, "grasp": 0.2, "carry": 0.5, "success": 5.0, "effort": -1.0},
         description="reward terms: exp(-tool to cube / 0.1 m), held, exp(-cube to target / 0.1 m), success, |dq|^2",
     )
 
@@ -52,7 +52,6 @@ class PickPlace(Frozen):
     def rare(self) -> dict[str, float]:
         """Rare strata and their shares among the rare starts."""
         return {n: s.rare_share for n, s in self.strata.items() if s.rare_share > 0}
-
 
     def nearest_half(self, centre_z_m: float) -> float:
         """Half edge of the cube whose centre rests at about this height: the size as it can be perceived [m]."""

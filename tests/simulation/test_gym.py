@@ -20,6 +20,7 @@ from pipeline.simulation.tasks import TASKS, sample_scene, scene_seed
 from pipeline.simulation.vector_env import PickPlaceVectorEnv
 from schemas.scene import SceneSpec
 
+pytestmark = pytest.mark.filterwarnings("error")
 ROOT = Path(__file__).parents[2]
 NOTHING = np.array([0, 0, 0, 0, 0.08], np.float32)
 
