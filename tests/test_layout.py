@@ -27,7 +27,11 @@ LATE = {"torch", "lerobot", "prefect", "mujoco"}
 """Never loaded by importing the light parts."""
 
 LIGHT = ("schemas/", "pipeline/store/", "pipeline/recording/", "flows/cli.py")
-TWIN_USERS = ("pipeline/twin/", "stages/deploy.py", "stages/harvest.py", "stages/exam.py", "flows/")
+TWIN_USERS = ("pipeline/twin/", "stages/deploy.py", "stages/harvest.py", "stages/exam.py", "flows/reporting.py")
+TRAINING_SIDE = (
+    *(f"stages/{stage}.py" for stage in ("collect", "augment", "build", "train", "gate", "release")),
+    "flows/learning.py",
+)
 PICKLES = {"pickle", "cPickle", "cloudpickle", "dill", "joblib", "shelve", "marshal"}
 
 
@@ -128,6 +132,33 @@ def test_only_the_deployment_side_knows_the_twin():
         if not name(file).startswith(TWIN_USERS) and any((m + ".").startswith(f"{TWIN}.") for m in imports(file))
     ]
     assert not wrong, f"{wrong}: training and the gate must not know the twin; only {TWIN_USERS} may"
+
+
+def reached(start: str) -> set[str]:
+    """Every file of ours that a file imports, directly or through others, inside functions too."""
+    known, found, waiting = {name(file): file for file in SOURCES}, set[str](), [start]
+    while waiting:
+        current = waiting.pop()
+        if current in found:
+            continue
+        found.add(current)
+        for module in imports(known[current]):
+            parts = module.split(".")
+            packages = ["/".join(parts[:k]) for k in range(1, len(parts) + 1)]
+            waiting += [path for base in packages for path in (f"{base}.py", f"{base}/__init__.py") if path in known]
+    return found
+
+
+@pytest.mark.parametrize("start", TRAINING_SIDE)
+def test_the_training_side_does_not_reach_the_twin_through_others_either(start):
+    wrong = sorted(path for path in reached(start) if path.startswith("pipeline/twin/"))
+    assert not wrong, f"{start} reaches {wrong}: what it learns from must not know the hidden physics"
+
+
+def test_the_steps_bring_in_the_deployment_side_only_when_it_is_asked_for():
+    steps = imports(ROOT / "flows/steps.py", top_level=True)
+    early = {module for module in steps if module in ("flows.working", "flows.reporting")}
+    assert not early, f"{early}: import it inside the method, or nothing trains where the hidden physics is missing"
 
 
 def test_nothing_heavy_is_loaded_by_the_light_parts():

@@ -242,7 +242,7 @@ def test_a_loop_killed_at_any_point_ends_where_an_unbroken_one_does(finished, ru
     moments = {
         "inside collect": there(f"tmp/{run}/*.mcap*"),
         "after collect": done(0, "collect"),
-        "inside train, a checkpoint written": there("policies/.*.training/*"),
+        "inside train, a checkpoint written": there("policies/.*.training/step-*"),
         "after train": done(0, "train"),
         "inside deploy": lambda: done(0, "exam")() and there(f"tmp/{run}/*.mcap*")(),
         "inside harvest": lambda: done(0, "deploy")() and there(f"tmp/{run}/*.mcap*")(),

@@ -35,7 +35,8 @@ def recipe() -> Recipe:
     """A few seconds of a loop."""
     return Recipe(
         name="tests", collect=CollectConfig(demonstrations=10), augment=AugmentConfig(),
-        train=TrainConfig(steps=300, batch=128, checkpoint_every=300), deploy=DeployConfig(episodes=16, rare_share=0.25),
+        train=TrainConfig(steps=300, batch=128, checkpoint_every=300),
+        deploy=DeployConfig(episodes=16, rare_share=0.25),
         harvest=HarvestConfig(corrections=6), exam=ExamConfig(common=8, rare=4))
 
 

@@ -129,7 +129,8 @@ def test_a_demonstration_that_lifts_nothing_is_replayed_but_not_carried_over(par
     flat = frames.environment.copy()
     flat[:, 2] = flat[0, 2]
     empty = (episode, replace(frames, environment=flat))
-    made = augment([empty], AugmentConfig(), replays=2, retargets=2, seed=1, generation=0, strata=("common",), threads=1)
+    made = augment([empty], AugmentConfig(), replays=2, retargets=2, seed=1, generation=0, strata=("common",),
+                   threads=1)
     assert [e.transform for e in made.episodes] == ["replay", "replay"]
 
 

@@ -92,8 +92,8 @@ def test_a_deployed_attempt_is_restored_with_its_policys_memory_and_goes_on_to_t
     attempts, learnt, policy, same_bits, twin
 ):
     episode, trace = max(attempts, key=lambda attempt: len(attempt[1]))
-    world, champion, ids = twin_world(draw_twin(twin), [episode.scene], threads=1), policy(learnt.champion), np.arange(1)
-    k = len(trace) // 2
+    world, champion = twin_world(draw_twin(twin), [episode.scene], threads=1), policy(learnt.champion)
+    ids, k = np.arange(1), len(trace) // 2
     champion.reset(1)
     champion.restore(ids, trace.controller[[k - 1], CONTROLLER_WIDTH:])
     world.load(ids, trace.sim_state[[k]], trace.controller[[k], :CONTROLLER_WIDTH])
