@@ -100,12 +100,18 @@ class ArmRun:
         """Id of the policy that a lap trained."""
         return self.material.ids(generation, "train")[0]
 
-    def champion(self) -> str:
-        """Id of the released policy; GateError where nothing is released yet."""
+    def champion(self, generation: int) -> str:
+        """Id of the released policy, once the verdict of this lap was acted on.
+
+        Raises:
+            GateError: nothing is released yet.
+            StoreError: this lap's release is still to come; the champion before it would be taken for its own.
+        """
         champion = self.store.champion(self.run)
         if champion is None:
             raise GateError("nothing is released yet", where=f"run {self.run}",
                             mend="hardcase gate && hardcase release")
+        self.material.outputs(generation, "release")
         return champion.policy
 
     def policy(self, policy: str) -> OnnxPolicy:

@@ -94,7 +94,7 @@ class Steps(ArmRun):
 
     def current(self, stage: str) -> int:
         """Generation at which `stage` runs next, or the last one where it is finished everywhere."""
-        last = self.recipe.generations
+        last = 0 if stage == "collect" else self.recipe.generations
         return next((g for g in range(last + 1) if self.store.step(self.run, g, stage) is None), last)
 
     def result(self) -> LoopResult:

@@ -23,7 +23,7 @@ DEMONSTRATION_S = 2
 
 def examined(run: ArmRun, generation: int, progress: Progress) -> Made:
     """Champion and candidate on the starts that no decision reads; a policy sits its exam once."""
-    champion, candidate = run.champion(), run.candidate(generation)
+    champion, candidate = run.champion(generation), run.candidate(generation)
     results = dict(run.material.exams())
     fresh = [p for p in dict.fromkeys((champion, candidate)) if p not in results]
     for k, policy in enumerate(fresh):
@@ -48,7 +48,7 @@ def deployed(run: ArmRun, generation: int) -> Made:
     """The champion at work."""
     if not run.arm.deploys:
         return Made((), "this arm does not deploy", {"robot_s": 0.0}, no_rows)
-    champion = run.champion()
+    champion = run.champion(generation)
     rider = run.material.rider(champion) if run.recipe.deploy.shadow else None
     done = deploy(run.policy(champion), champion, run.recipe, seed=run.seed, twin=run.twin, generation=generation,
                   folder=run.folder(), software=facts.software(),
