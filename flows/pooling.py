@@ -1,6 +1,7 @@
 """Pooling: what a study says over all seeds; seeds are drawn first, then scenes."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,9 @@ from schemas.recipe import Recipe
 
 type Bits = NDArray[np.bool_]
 type Seed = dict[str, Any]
+
+CLEAR = 0.02
+"""Difference of two policies, at the gate and at the exam, from which its sign is counted."""
 
 SHOWN = ("champion", "candidate")
 """What the gate let through, and what was trained last whether or not it was let through."""
@@ -92,16 +96,17 @@ def _prediction(seeds: Sequence[Seed]) -> dict[str, Any]:
     for seed in seeds:
         for arm in seed["arms"]:
             laps = seed["arms"][arm]["laps"]
-            for before, lap in zip(laps, laps[1:], strict=False):
+            for before, lap in pairwise(laps):
                 everything = lap["gate"][0]
                 if everything["champion"] is None:
                     continue
                 told.append(everything["candidate"]["rate"] - everything["champion"]["rate"])
-                was.append(np.mean([b == "1" for b in lap["candidate"]])
-                           - np.mean([b == "1" for b in before["champion"]]))
-    agree = [np.sign(a) == np.sign(b) for a, b in zip(told, was, strict=True) if abs(a) > 0.02 and abs(b) > 0.02]
-    return {**_plain(predict_quality(told, was)), "pairs": len(told),
-            "same_sign_of_clear_differences": float(np.mean(agree)) if agree else None, "clear": len(agree)} if told else {}
+                was.append((lap["candidate"].count("1") - before["champion"].count("1")) / len(lap["candidate"]))
+    if not told:
+        return {}
+    clear = [a * b > 0 for a, b in zip(told, was, strict=True) if min(abs(a), abs(b)) > CLEAR]
+    return {**_plain(predict_quality(told, was)), "pairs": len(told), "clear": len(clear),
+            "clear_with_the_same_sign": sum(clear) / len(clear) if clear else None}
 
 
 def _decisions(seeds: Sequence[Seed]) -> dict[str, int]:
@@ -120,7 +125,7 @@ def _plain(value: Any) -> dict[str, Any]:
 def tables(pooled: dict[str, Any]) -> Group:
     """The pooled numbers as tables for a terminal."""
     arms = Table("arm", "mix", "rare", "loop ahead at the mix", "loop ahead on rare", "seeds won", "robot s",
-                 title="Last generation's candidate, mean over seeds; 95 % intervals by bootstrap over seeds, then scenes")
+                 title="Last candidate of each arm, mean over seeds; bootstrap over seeds, then scenes")
     for name, arm in pooled["arms"].items():
         entry = arm["candidate"]
         sign = entry.get("sign")

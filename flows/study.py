@@ -95,7 +95,7 @@ def arm_result(steps: Any) -> dict[str, Any]:
 
     laps: list[Mapping[str, Any]] = []
     for g, exam in enumerate(summary.examined(steps)):
-        verdict = steps.store.verdict(str(summary.outputs(steps, g, "gate")["ids"][0]))
+        verdict = steps.store.verdict(steps.material.ids(g, "gate")[0])
         laps.append({
             "generation": g, "robot_s": steps.robot_seconds(g), "decision": verdict.decision, "p": verdict.p,
             "gate": [r.model_dump() for r in verdict.strata], "scenes": verdict.scenes,

@@ -16,7 +16,7 @@ from pipeline.simulation.recordings import episode_id
 from pipeline.simulation.rollout import rollout
 from pipeline.simulation.tasks import load_task, sample_scene, scene_seed
 from pipeline.simulation.tracing import Tracer
-from pipeline.simulation.variants import Playback, path_of, retarget, survival
+from pipeline.simulation.variants import Path, Playback, path_of, retarget, survival
 from pipeline.simulation.world import HOME, World
 from pipeline.triggers import stratum_of
 from schemas.episode import Episode, Outcome, Segment
@@ -28,6 +28,10 @@ HORIZON = 120
 """Longest variant [ticks]."""
 NEARBY_M = 0.04
 """How far around a correction's start its variants start [m]."""
+CARRIED_M = 0.08
+"""Shortest way that shows how to carry [m]."""
+STRETCH, TRIES = 1.6, 50
+"""Largest factor between the way carried and its variant's, and how often a target is drawn to keep it."""
 CELL_M = 0.02
 """Edge of the workspace cells that coverage counts [m]."""
 
@@ -103,7 +107,7 @@ def _variants(parents: Sequence[Parent], transform: str, count: int, config: Aug
         scene = _perceived(parent, frames).model_copy(update={
             "family": "augment", "seed": scene_seed("augment", *words), "draws": randomize(rng, config.widen)})
         if transform == "retarget":
-            scene = _elsewhere(scene, rng, strata)
+            scene = _elsewhere(scene, rng, strata, _path(parent, frames).carried_m)
         origin = "replayed" if transform == "replay" else "retargeted"
         episode = Episode(
             id=episode_id(origin, scene, parent.id, transform), origin=origin, scene=scene,
@@ -122,14 +126,19 @@ def _perceived(parent: Episode, frames: Frames) -> SceneSpec:
         "object_half_m": load_task(parent.scene.task).nearest_half(z), "stratum": stratum_of(frames.environment[0])})
 
 
-def _elsewhere(scene: SceneSpec, rng: np.random.Generator, strata: Sequence[str] | None) -> SceneSpec:
+def _elsewhere(scene: SceneSpec, rng: np.random.Generator, strata: Sequence[str] | None,
+               carried_m: float) -> SceneSpec:
+    """Another start: of the given strata, or near this one with a way to carry that is not much longer or shorter."""
     if strata:
         fresh = sample_scene(scene.task, "augment", scene.seed, strata[int(rng.integers(len(strata)))],
                              robot=scene.robot, scene=scene.scene)
         return fresh.model_copy(update={"draws": scene.draws, "object_half_m": scene.object_half_m})
     x, y = (a + rng.uniform(-NEARBY_M, NEARBY_M) for a in scene.object_xy_m)
-    task = load_task(scene.task)
-    target = task.sample_target(rng, x, y)
+    task, target = load_task(scene.task), scene.target_xy_m
+    for _ in range(TRIES):
+        target = task.sample_target(rng, x, y)
+        if 1 / STRETCH < np.hypot(target[0] - x, target[1] - y) / carried_m < STRETCH:
+            break
     return scene.model_copy(update={"object_xy_m": (float(x), float(y)), "target_xy_m": target,
                                     "object_yaw_rad": float(rng.uniform(-np.pi / 4, np.pi / 4))})
 
@@ -152,14 +161,20 @@ def _begins(episode: Episode) -> int:
     return next((s.start for s in episode.segments if s.kind != "autonomous"), 0)
 
 
+def _path(episode: Episode, frames: Frames) -> Path:
+    return path_of(frames, f"episode {episode.id}", _begins(episode))
+
+
 def grasps(parent: Parent) -> bool:
-    """Whether the demonstrator's part holds a grasp: one who took over with the object in hand shows none."""
-    episode, frames = parent
+    """Whether the demonstrator's part can be carried over: it grasps, and carries far enough to show how.
+
+    One who took over with the object in hand shows no grasp; one who only nudged it onto the mark shows a
+    motion that would drag the object over the table, were it stretched to a longer way.
+    """
     try:
-        path_of(frames, f"episode {episode.id}", _begins(episode))
+        return _path(*parent).carried_m >= CARRIED_M
     except SimulationError:
         return False
-    return True
 
 
 def _actions(variant: _Variant, seen: Array) -> tuple[Array, int]:
@@ -167,8 +182,7 @@ def _actions(variant: _Variant, seen: Array) -> tuple[Array, int]:
     begins = _begins(variant.parent)
     if variant.episode.transform == "replay":
         return variant.frames.action.astype(np.float64), begins
-    path = path_of(variant.frames, f"episode {variant.parent.id}", begins)
-    return retarget(path, HOME, seen[[0, 1, 3]], seen[4:6]), 0
+    return retarget(_path(variant.parent, variant.frames), HOME, seen[[0, 1, 3]], seen[4:6]), 0
 
 
 def _resumes(place: Array, begins: int) -> int:

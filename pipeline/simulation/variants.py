@@ -93,6 +93,11 @@ class Path:
     from_home: bool
     """Whether the path begins where every attempt begins."""
 
+    @property
+    def carried_m(self) -> float:
+        """Way from the grasp to the target [m]."""
+        return float(np.hypot(*(self.target - self.object[:2])))
+
 
 def path_of(frames: Frames, where: str, begins: int = 0) -> Path:
     """The commanded path of the part of an attempt that a demonstrator commanded.
@@ -124,10 +129,16 @@ def path_of(frames: Frames, where: str, begins: int = 0) -> Path:
                 from_home=first == 0)
 
 
-def _progress(xy: Array) -> Array:
-    """Share of the horizontal way covered at each row, from 0 to 1, shape (k,)."""
+def _fade(xy: Array) -> Array:
+    """Weight of what two frames disagree about: 1 at the first row, 0 at the last, by the way covered, shape (k, 1).
+
+    Bending along the whole way teaches more than keeping the last centimetres as shown and bending before: that
+    gave 60 to 76 % on twins 2-4 where this gives 86 to 88.
+    """
     way: Array = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
-    return way / way[-1] if way[-1] > 1e-6 else np.linspace(0, 1, len(xy), dtype=np.float64)
+    if way[-1] < 1e-6:
+        way = np.linspace(0, 1, len(xy), dtype=np.float64)
+    return (1 - way / way[-1])[:, None]
 
 
 def retarget(path: Path, start: Array, seen: Array, target: Array) -> Array:
@@ -150,8 +161,7 @@ def retarget(path: Path, start: Array, seen: Array, target: Array) -> Array:
     reach[:, :2] = (reach[:, :2] - path.object[:2]) @ spin.T + seen[:2]
     reach[:, 3] += turn
     if path.from_home:
-        fade = (1 - _progress(pose[:g + 1, :2]))[:, None]
-        reach += fade * (start - reach[0])
+        reach += _fade(pose[:g + 1, :2]) * (start - reach[0])
         opening = path.opening
     else:
         over = reach[:1] + np.array([0, 0, max(0.0, CLEAR_M - reach[0, 2]), 0])
@@ -160,8 +170,7 @@ def retarget(path: Path, start: Array, seen: Array, target: Array) -> Array:
     carry = pose[g:].copy()
     carry[:, :2] += target - path.target
     carry[:, 3] += reach[-1, 3] - carry[0, 3]
-    fade = (1 - _progress(pose[g:, :2]))[:, None]
-    carry[:, :2] += fade * (reach[-1, :2] - carry[0, :2])
+    carry[:, :2] += _fade(pose[g:, :2]) * (reach[-1, :2] - carry[0, :2])
     return _timed(np.concatenate([reach, carry[1:]]), opening)
 
 
