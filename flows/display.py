@@ -130,7 +130,8 @@ def chart(laps: tuple[Generation, ...]) -> Text:
 def verdict_lines(verdict: Verdict) -> list[str]:
     """The last gate, in the words of the gate and one line a stratum."""
     against = f" against {verdict.champion}" if verdict.champion else ""
-    lines = [f"Last gate: {verdict.decision}, {verdict.candidate}{against}, {verdict.scenes} scenes: {verdict.reason}"]
+    p = "" if verdict.p is None else f", p of a gain {verdict.p:.2g}"
+    lines = [f"Last gate: {verdict.decision}, {verdict.candidate}{against}, {verdict.scenes} scenes{p}"]
     for stratum in verdict.strata:
         mine, theirs = stratum.candidate, stratum.champion
         before = f" (champion {theirs.rate:.3f})" if theirs else ""

@@ -90,7 +90,9 @@ def judged(run: ArmRun, generation: int, progress: Progress) -> Made:
     verdict = gate(candidate, champion.policy if champion else None, generation=generation, scenes=scenes,
                    evaluate=lambda p, s: evaluate(policies[p], s, threads=recipe.threads).success,
                    config=recipe.gate, progress=progress)
-    return Made((verdict.id,), f"{verdict.decision}: {verdict.reason}", {}, lambda tx: tx.add_verdict(verdict))
+    p = "" if verdict.p is None else f", p of a gain {verdict.p:.2g}"
+    return Made((verdict.id,), f"{verdict.decision} after {verdict.scenes} scenes{p}", {},
+                lambda tx: tx.add_verdict(verdict))
 
 
 def released(run: ArmRun, generation: int) -> Made:
