@@ -19,7 +19,7 @@ class AugmentConfig(Frozen):
 
     replays: int = Field(default=150, ge=0, description="variants by replayed commands, at generation 0")
     retargets: int = Field(default=250, ge=0, description="variants by object-centric retargeting, at generation 0")
-    per_correction: int = Field(default=6, ge=0, description="variants of every successful correction, later")
+    per_correction: int = Field(default=1, ge=0, description="variants of every successful correction, later")
     widen: float = Field(default=1.0, gt=0, le=5, description="factor on every range; above 1 the filter has work")
     keep_rejected: bool = Field(default=False, description="control arm: failed variants are left in")
 
@@ -29,7 +29,7 @@ class DatasetConfig(Frozen):
 
     sources: tuple[str, ...] = ("scripted", "replayed", "retargeted", "corrected")
     weights: dict[str, float] = Field(
-        default={"base": 0.6, "corrections": 0.4},
+        default={"base": 0.65, "corrections": 0.35},
         description="share of each training batch; renormalised over what exists",
     )
     held_out: float = Field(default=0.1, ge=0, lt=0.5, description="share of lineages in the validation split")
@@ -59,11 +59,11 @@ class TrainConfig(Frozen):
 class GateConfig(Frozen):
     """The sequential paired test of a candidate."""
 
-    looks: tuple[int, ...] = Field(default=(200, 400, 800), description="scenes at each look, fixed beforehand")
+    looks: tuple[int, ...] = Field(default=(200, 400, 1000), description="scenes at each look, fixed beforehand")
     alpha: float = Field(default=0.05, gt=0, lt=0.5, description="error over all looks and strata together")
     margin: float = Field(default=0.05, gt=0, lt=1, description="largest loss that a stratum may hide")
     bootstrap_success: float = Field(default=0.5, ge=0, le=1, description="lower Wilson bound generation 0 must reach")
-    rare_share: float = Field(default=0.3, gt=0, lt=1, description="share of gate scenes from harvested strata")
+    rare_share: float = Field(default=0.5, gt=0, lt=1, description="share of gate scenes from harvested strata")
 
     @model_validator(mode="after")
     def looks_rise(self) -> Self:
