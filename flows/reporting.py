@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from flows import facts, summary
+from flows.memory import tree_pss_mb
+from flows.running import running
 from flows.session import since_start_s
 from flows.steps_api import Progress
 from pipeline.errors import SimulationError
@@ -31,7 +33,9 @@ def write_report(steps: "Steps", progress: Progress) -> Path:
     strips, notes = _strips(steps, _choose(cases), progress)
     versions = steps.store.versions(run=steps.run)
     counts = {v.id: _by_origin(steps, v.episodes) for v in versions}
-    result = steps.result().model_copy(update={"wall_s": since_start_s()})
+    active = running()
+    peak_mb = active.peak_mb() if active else tree_pss_mb()
+    result = steps.result().model_copy(update={"wall_s": since_start_s(), "peak_pss_mb": peak_mb})
     data = ReportData(
         recipe=steps.recipe, command=steps.store.history(steps.run)[-1].command, result=result,
         laps=summary.laps(steps), policies=tuple(steps.store.policies(run=steps.run)),

@@ -6,6 +6,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Protocol
 
+from flows.memory import tree_pss_mb
 from flows.steps_api import LoopSteps, StepResult
 
 
@@ -44,6 +45,8 @@ class Running:
     arm: str = "loop"
     check: Callable[[], None] = lambda: None
     """Called before each stage; raises if there is a reason not to begin it."""
+    peak_mb: Callable[[], float] = tree_pss_mb
+    """Peak memory of this process and its children so far [MB]; without a watch, what they hold now."""
 
 
 _RUNNING: ContextVar[Running] = ContextVar("running")

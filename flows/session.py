@@ -41,7 +41,7 @@ def run_loop(order: Order, root: Path, *, json: Path | None, browse: bool) -> Lo
         with (
             open_order(order, root) as steps,
             Display(order.recipe, Console(stderr=True), control=order.control) as display,
-            run_with(Running(steps, display, check=server.require if server else _nothing)),
+            run_with(Running(steps, display, check=server.require if server else _nothing, peak_mb=memory.look)),
         ):
             _turn(server)
             result = _measured(steps, memory)

@@ -1,11 +1,13 @@
 """What a robot, a policy, a trigger and a recorder must be able to do: the seams of the loop."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from pipeline.triggers import Senses
 
 type Array = NDArray[np.float64]
 type Ids = NDArray[np.intp]
@@ -51,8 +53,12 @@ class Robot(Protocol):
         ...
 
 
-type Trigger = Callable[[Observation, Array], NDArray[np.bool_]]
-"""(history of observations stacked (t, n, ...), history of actions (t, n, 5)) -> fired, shape (n,)."""
+class Trigger(Protocol):
+    """Notices one kind of failure from what the robots sense; see pipeline.triggers.TRIGGERS."""
+
+    def __call__(self, senses: "Senses", /) -> NDArray[np.bool_]:
+        """Which attempts have failed so, shape (n,)."""
+        ...
 
 
 class Recorder(Protocol):

@@ -1,13 +1,12 @@
 """Triggers: what a robot notices of its own failures, from its own senses alone."""
 
-from collections.abc import Callable
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.frames import STATE
-from pipeline.protocols import Array, Ids, Observation
+from pipeline.protocols import Array, Ids, Observation, Trigger
 from schemas.recipe import HarvestConfig
 
 GRIPPED_M, FAR_M, SETTLE_TICKS = 0.016, 0.06, 3
@@ -77,9 +76,6 @@ class Senses:
         return "place" if self.released[attempt] else "carry" if self.gripped[attempt] else "reach"
 
 
-type Fire = Callable[[Senses], NDArray[np.bool_]]
-
-
 def stall(s: Senses) -> NDArray[np.bool_]:
     """The tool has not moved by `stall_progress_m` for `stall_ticks`."""
     return s.still >= s.config.stall_ticks
@@ -100,7 +96,7 @@ def timed_out(s: Senses) -> NDArray[np.bool_]:
     return s.timed_out()
 
 
-TRIGGERS: MappingProxyType[str, Fire] = MappingProxyType({
+TRIGGERS: MappingProxyType[str, Trigger] = MappingProxyType({
     "stall": stall, "closed-on-nothing": closed_on_nothing, "dropped": dropped, "timed-out": timed_out,
 })
 """Trigger name -> rule, asked in this order. Add one: a function of Senses and an entry here."""
