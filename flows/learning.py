@@ -36,7 +36,8 @@ def augmented(run: ArmRun, generation: int, progress: Progress) -> Made:
     if not sources or replays + retargets == 0:
         return Made((), "nothing new to multiply", {}, no_rows)
     made = augment(sources, config, replays=replays, retargets=retargets, seed=run.seed, generation=generation,
-                   strata=None if generation else _aims(run), threads=run.recipe.threads, progress=progress)
+                   strata=None if generation else _aims(run), threads=run.recipe.threads, arm=run.name,
+                   progress=progress)
     kept = {e.id: made.frames[e.id] for e in made.episodes if config.keep_rejected or e.outcome.label == "success"}
     blob = None
     if kept:

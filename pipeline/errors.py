@@ -14,6 +14,14 @@ class HardcaseError(Exception):
         self.what, self.where, self.mend = what, str(where), mend
         super().__init__(f"{what}\n  at:   {where}\n  mend: {mend}")
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Cross from a worker process whole: the default would call __init__ without `where` and `mend`."""
+        return _again, (type(self), self.what, self.where, self.mend)
+
+
+def _again(kind: "type[HardcaseError]", what: str, where: str, mend: str) -> "HardcaseError":
+    return kind(what, where=where, mend=mend)
+
 
 class RecordingError(HardcaseError):
     """A recording is damaged, hostile, incomplete or of the wrong kind."""

@@ -50,7 +50,7 @@ class Augmented:
 
 
 def augment(parents: Sequence[Parent], config: AugmentConfig, *, replays: int, retargets: int, seed: int,
-            generation: int, strata: Sequence[str] | None, threads: int,
+            generation: int, strata: Sequence[str] | None, threads: int, arm: str = "",
             progress: Callable[[int, int], None] | None = None) -> Augmented:
     """Make variants; the simulator and the success predicate judge each.
 
@@ -63,6 +63,7 @@ def augment(parents: Sequence[Parent], config: AugmentConfig, *, replays: int, r
         generation: lap of the loop.
         strata: kinds of start that retargeting aims at; None stays near each parent's own start.
         threads: threads of the engine.
+        arm: name of a study's arm: what it makes is its own, also where another arm made the same.
         progress: called as (variants done, variants in all).
     """
     parents = [p for p in parents if p[0].outcome.label == "success"]
@@ -75,7 +76,7 @@ def augment(parents: Sequence[Parent], config: AugmentConfig, *, replays: int, r
         able = [p for p in parents if transform == "replay" or grasps(p)]
         if not count or not able:
             continue
-        made = _variants(able, transform, count, config, seed, generation, strata)
+        made = _variants(able, transform, count, config, seed, generation, strata, arm)
         for episode, kept in _play(made, threads):
             episodes.append(episode)
             frames[episode.id] = kept
@@ -98,7 +99,7 @@ class _Variant:
 
 
 def _variants(parents: Sequence[Parent], transform: str, count: int, config: AugmentConfig, seed: int,
-              generation: int, strata: Sequence[str] | None) -> list[_Variant]:
+              generation: int, strata: Sequence[str] | None, arm: str) -> list[_Variant]:
     made: list[_Variant] = []
     for i in range(count):
         words = (seed, generation, 0 if transform == "replay" else 1, i)
@@ -110,7 +111,7 @@ def _variants(parents: Sequence[Parent], transform: str, count: int, config: Aug
             scene = _elsewhere(scene, rng, strata, _path(parent, frames).carried_m)
         origin = "replayed" if transform == "replay" else "retargeted"
         episode = Episode(
-            id=episode_id(origin, scene, parent.id, transform), origin=origin, scene=scene,
+            id=episode_id(origin, scene, parent.id, transform, *([arm] if arm else [])), origin=origin, scene=scene,
             control_hz=parent.control_hz, frames=1, outcome=Outcome(label="unknown", judged_by="simulator"),
             segments=(Segment(kind="demonstration", start=0, stop=1, actor="expert"),), parent=parent.id,
             transform=transform, generation=generation)
