@@ -73,6 +73,7 @@ def _arm(seeds: Sequence[Seed], name: str, shares: dict[str, float]) -> dict[str
                         for n, w in shares.items() if n != "common"}
                 entry["loop_ahead_rare"] = _ahead(seeds, name, (last, laps), who, rare) if rare else None
         found[who] = entry
+    found["asked"] = [sum(lap["asked"] or 0 for lap in s["arms"][name]["laps"]) for s in seeds]
     found["robot_s"] = [sum(lap["robot_s"] for lap in s["arms"][name]["laps"]) for s in seeds]
     return found
 
@@ -124,7 +125,7 @@ def _plain(value: Any) -> dict[str, Any]:
 
 def tables(pooled: dict[str, Any]) -> Group:
     """The pooled numbers as tables for a terminal."""
-    arms = Table("arm", "mix", "rare", "loop ahead at the mix", "loop ahead on rare", "seeds won", "robot s",
+    arms = Table("arm", "mix", "rare", "loop ahead at the mix", "loop ahead on rare", "seeds won", "by a person", "robot s",
                  title="Last candidate of each arm, mean over seeds; bootstrap over seeds, then scenes")
     for name, arm in pooled["arms"].items():
         entry = arm["candidate"]
@@ -132,7 +133,7 @@ def tables(pooled: dict[str, Any]) -> Group:
         arms.add_row(name or "loop", f"{np.mean(entry['mix']):.3f}", f"{np.mean(entry['rare']):.3f}",
                      _interval(entry.get("loop_ahead")), _interval(entry.get("loop_ahead_rare")),
                      f"{sign['wins']} of {sign['wins'] + sign['losses']}" if sign else "",
-                     f"{np.mean(arm['robot_s']):.0f}")
+                     f"{np.mean(arm['asked']):.0f}", f"{np.mean(arm['robot_s']):.0f}")
     laps = Table("generation", "mix, median", "rare, median", "common, median", title="The loop's champion")
     for g, lap in enumerate(pooled["generations"]):
         entry = lap["champion"]
