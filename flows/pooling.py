@@ -125,7 +125,8 @@ def _plain(value: Any) -> dict[str, Any]:
 
 def tables(pooled: dict[str, Any]) -> Group:
     """The pooled numbers as tables for a terminal."""
-    arms = Table("arm", "mix", "rare", "loop ahead at the mix", "loop ahead on rare", "seeds won", "by a person", "robot s",
+    arms = Table("arm", "mix", "rare", "loop ahead at the mix", "loop ahead on rare", "seeds won", "by a person",
+                 "robot s",
                  title="Last candidate of each arm, mean over seeds; bootstrap over seeds, then scenes")
     for name, arm in pooled["arms"].items():
         entry = arm["candidate"]
