@@ -26,7 +26,7 @@ class Case:
     rates: dict[str, tuple[float, float]]
     shared: float = 0.3
     shares: dict[str, float] = field(default_factory=lambda: {"common": 0.7, "side": 0.3})
-    config: GateConfig = field(default_factory=GateConfig)
+    config: GateConfig = field(default_factory=lambda: GateConfig(looks=(200, 400, 800), rare_share=0.3))
     limit: float | None = None
     """Largest allowed share of PASS, where a PASS would be false."""
     by_400: float | None = None
@@ -49,14 +49,14 @@ CASES = (
     Case("same, common .93 to .97", {"common": (0.93, 0.97), "side": (0, 0.7)}, by_400=0.97),
     Case("first lap, rare_share .2", {"common": COMMON, "side": (0, 0.7)}, shares={"common": 0.8, "side": 0.2}),
     Case("first lap, rare_share .5", {"common": COMMON, "side": (0, 0.7)}, shares={"common": 0.5, "side": 0.5}),
-    Case("first lap, looks 200 400", {"common": COMMON, "side": (0, 0.7)}, config=GateConfig(looks=(200, 400))),
+    Case("first lap, looks 200 400", {"common": COMMON, "side": (0, 0.7)}, config=GateConfig(looks=(200, 400), rare_share=0.3)),
     Case("later lap: rare .7 to .82", {"common": (0.95, 0.96), "side": (0.7, 0.82)}),
     Case("second rare kind at 0", {"common": (0.93, 0.95), "side": (0, 0.7), "large": (0, 0)}, shares=HALVES),
     Case("second rare kind 0 to .3", {"common": (0.93, 0.95), "side": (0, 0.7), "large": (0, 0.3)}, shares=HALVES),
     Case("second rare kind stays .5", {"common": (0.93, 0.95), "side": (0, 0.7), "large": (0.5, 0.5)}, shares=HALVES),
     Case("second rare kind stays .9", {"common": (0.93, 0.95), "side": (0, 0.7), "large": (0.9, 0.9)}, shares=HALVES),
     Case("second stays .5, margin .15", {"common": (0.93, 0.95), "side": (0, 0.7), "large": (0.5, 0.5)}, shares=HALVES,
-         config=GateConfig(margin=0.15)),
+         config=GateConfig(looks=(200, 400, 800), rare_share=0.3, margin=0.15)),
     Case("worse: common .95 to .85", {"common": (0.95, 0.85), "side": (0.7, 0.7)}),
 )
 

@@ -16,6 +16,7 @@ from stages.gate import gate
 
 OLD, NEW = "a" * 16, "b" * 16
 SMALL = GateConfig(looks=(20, 40), margin=0.2)
+PLANNED = GateConfig(looks=(200, 400, 800), rare_share=0.3)
 
 
 def make_scene(index: int, stratum: str = "common", **changes: object) -> SceneSpec:
@@ -40,7 +41,7 @@ def always(_: SceneSpec) -> bool:
     return True
 
 
-def judge(scenes, evaluate, config: GateConfig = GateConfig(), champion: str | None = OLD, **more):
+def judge(scenes, evaluate, config: GateConfig = PLANNED, champion: str | None = OLD, **more):
     return gate(NEW, champion, generation=1, scenes=scenes, evaluate=evaluate, config=config, **more)
 
 
@@ -172,7 +173,7 @@ def test_the_id_names_the_causes():
     first = judge(strata(3), outcomes)
     assert first.id == judge(strata(3), outcomes).id
     assert first.id != judge(strata(4), outcomes).id
-    assert first.id != judge(strata(3), outcomes, GateConfig(margin=0.06)).id
+    assert first.id != judge(strata(3), outcomes, GateConfig(looks=(200, 400, 800), rare_share=0.3, margin=0.06)).id
 
 
 def test_equal_policies_are_promoted_more_rarely_than_alpha():

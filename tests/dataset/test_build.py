@@ -127,7 +127,7 @@ def test_the_weights_are_shares_of_what_exists(make, demos, episode, tmp_path):
     fixes = [episode(f"fix {k}", "corrected", parent=f"attempt {k}", generation=1, takeover=4) for k in range(8)]
     copies = [episode(f"copy {k}", "replayed", parent=f"fix {k}", generation=1) for k in range(8)]
     version = make([*demos, *fixes, *copies], generation=1)
-    assert version.weights == {"base": 0.6, "corrections": 0.4}
+    assert version.weights == DatasetConfig().weights
     table = pq.read_table(tmp_path / "store" / version.path / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
     share = {g: sum(row["weight"] for row in table if row["group"] == g) for g in ("base", "corrections")}
     assert share == pytest.approx(version.weights)

@@ -10,6 +10,7 @@ import pytest
 
 from pipeline.errors import DatasetError
 from pipeline.lerobot_view.training_data import TrainingData
+from schemas.recipe import DatasetConfig
 from stages.build import build
 
 ROOT = Path(__file__).parents[2]
@@ -67,7 +68,7 @@ def test_batches_hold_the_groups_in_their_shares_and_nothing_held_out(version):
     drawn = np.searchsorted(data.stops, rows, side="right")
     held = {k for k, e in enumerate(episodes) if e.id in built.held_out}
     assert held and not held & set(drawn.tolist())
-    assert (drawn >= 30).mean() == pytest.approx(0.4)
+    assert (drawn >= 30).mean() == pytest.approx(DatasetConfig().weights["corrections"])
     table = pq.read_table(folder / "meta/episodes/chunk-000/file-000.parquet", columns=["weight"])
     expected = table.column("weight").to_numpy()
     np.testing.assert_allclose(np.bincount(drawn, minlength=50) / 20_000, expected, atol=0.006)
@@ -77,7 +78,8 @@ def test_small_batches_hold_the_shares_on_average(version):
     folder, *_ = version
     data, rng = TrainingData.load(folder), np.random.default_rng(1)
     rows = np.concatenate([rows_of(data, data.sample(rng, 3, 2)) for _ in range(1500)])
-    assert (np.searchsorted(data.stops, rows, side="right") >= 30).mean() == pytest.approx(0.4, abs=0.02)
+    share = DatasetConfig().weights["corrections"]
+    assert (np.searchsorted(data.stops, rows, side="right") >= 30).mean() == pytest.approx(share, abs=0.02)
 
 
 def test_of_a_correction_only_the_intervention_teaches(version):
@@ -131,6 +133,7 @@ from pathlib import Path
 from schemas.recipe import Recipe
 from stages.build import build
 from pipeline.lerobot_view.training_data import TrainingData
+from schemas.recipe import DatasetConfig
 spec = importlib.util.spec_from_file_location("made", sys.argv[1])
 made = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(made)
