@@ -240,6 +240,7 @@ def why(
 def study(
     seeds: Annotated[int, typer.Option(min=1, help="Seeds: twin, data and training together.")] = 8,
     recipe: Recipe = None,
+    arm: Annotated[list[str] | None, typer.Option(help="A control arm to run; may be given again.")] = None,
     json: Annotated[Path | None, typer.Option(help="Write every arm and seed to this file as JSON.")] = None,
 ) -> None:
     """Run the loop beside its controls and print what each arm reaches. Takes hours.
@@ -248,7 +249,7 @@ def study(
     """
     from flows.study import run_study
 
-    run_study(seeds=seeds, recipe=recipe or "default", json=json)
+    run_study(seeds=seeds, recipe=recipe or "default", json=json, arms=tuple(arm or ()))
 
 
 @app.command()

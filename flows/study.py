@@ -2,7 +2,7 @@
 
 import json as jsonlib
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
@@ -10,20 +10,19 @@ from typing import Any
 
 from rich.console import Console
 
+from flows.arms import ARMS, arm_of
 from flows.opening import FIRST_HELD_OUT_TWIN
+from pipeline.errors import ConfigError
 from pipeline.files import atomic
 from pipeline.recipes import load_recipe
 from pipeline.store import store_root
 from schemas.recipe import Recipe
 
-ARMS_RUN = ("", "random", "random-seconds", "failed-starts", "whole-workspace", "oracle", "wide", "wide-unfiltered")
-"""Arms in the order they run; a control arm shares generation 0 with the loop where it can."""
-
 WORKERS = 2
 """Seeds run side by side, each on one thread: two cores are used better so than by two threads for one."""
 
 
-def run_study(*, seeds: int, recipe: str, json: Path | None) -> dict[str, Any]:
+def run_study(*, seeds: int, recipe: str, json: Path | None, arms: Sequence[str] = ()) -> dict[str, Any]:
     """Run every arm for every seed, print the pooled table, and hand back everything.
 
     Finished seeds are kept beside the store, so that an interrupted study goes on where it was.
@@ -32,15 +31,22 @@ def run_study(*, seeds: int, recipe: str, json: Path | None) -> dict[str, Any]:
         seeds: how many; seed k has twin 100 + k, data seed k and training seeds from k.
         recipe: name or path.
         json: where to write all of it.
+        arms: control arms to run beside the loop; every one that the recipe has a use for where none is named.
+
+    Raises:
+        ConfigError: an unknown arm, or a seed that was finished with other arms.
     """
     from flows.pooling import pool, tables
 
     loaded, folder = load_recipe(recipe), store_root() / "study" / Path(recipe).stem
+    names = ("", *arms) if arms else useful(loaded)
+    for name in names:
+        arm_of(name)
     folder.mkdir(parents=True, exist_ok=True)
     console, results = Console(stderr=True), {}
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     with ProcessPoolExecutor(WORKERS, mp_context=get_context("spawn")) as workers:
-        jobs = {workers.submit(study_seed, k, loaded, folder): k for k in range(seeds)}
+        jobs = {workers.submit(study_seed, k, loaded, folder, names): k for k in range(seeds)}
         for job in as_completed(jobs):
             results[jobs[job]] = job.result()
             console.print(f"seed {jobs[job]} finished, {len(results)} of {seeds}")
@@ -53,18 +59,27 @@ def run_study(*, seeds: int, recipe: str, json: Path | None) -> dict[str, Any]:
     return everything
 
 
-def study_seed(seed: int, recipe: Recipe, folder: Path) -> dict[str, Any]:
+def useful(recipe: Recipe) -> tuple[str, ...]:
+    """The arms that say something about this recipe: without variants, arms that only change them say nothing."""
+    multiplies = recipe.augment.replays + recipe.augment.retargets > 0
+    return tuple(name for name, arm in ARMS.items() if multiplies or arm.new_data != "none")
+
+
+def study_seed(seed: int, recipe: Recipe, folder: Path, names: Sequence[str]) -> dict[str, Any]:
     """Every arm of one seed, in a store of its own; returns what `arm_result` gives for each."""
-    from flows.arms import ARMS
     from flows.steps import Steps, open_run
 
     done = folder / f"seed-{seed}.json"
     if done.exists():
-        return jsonlib.loads(done.read_text())
+        finished = jsonlib.loads(done.read_text())
+        if set(finished["arms"]) != set(names):
+            raise ConfigError(f"seed {seed} was finished with the arms {sorted(finished['arms'])}", where=done,
+                              mend=f"name those with --arm, or remove the file: rm {done}")
+        return finished
     recipe = recipe.model_copy(update={"threads": 1})
     twin, found = FIRST_HELD_OUT_TWIN + seed, dict[str, Any]()
     with open_run(folder / f"store-{seed}", recipe, seed=seed, twin=twin, control=False) as loop:
-        for name in ARMS_RUN:
+        for name in names:
             arm = loop if name == "" else Steps(loop.store, loop.lease, recipe, seed, twin, name, loop)
             turn(arm, 0 if ARMS[name].new_data == "none" else recipe.generations)
             found[name] = arm_result(arm)
