@@ -13,7 +13,7 @@ from rich.console import Console
 
 from flows.display import Display, show_result
 from flows.embedded import EmbeddedPrefect, embedded
-from flows.memory import MemoryWatch
+from flows.memory import MemoryWatch, frugal
 from flows.opening import Order, open_order
 from flows.running import Running, run_with
 from flows.steps_api import LoopSteps
@@ -37,6 +37,7 @@ def run_loop(order: Order, root: Path, *, json: Path | None, browse: bool) -> Lo
         HardcaseError: a stage refused; what is finished stays finished.
         KeyboardInterrupt: by Ctrl-C or SIGTERM, after everything was closed.
     """
+    frugal()
     with _signals_are_ctrl_c(), embedded(root) as server, MemoryWatch() as memory:
         with (
             open_order(order, root) as steps,

@@ -10,6 +10,7 @@ from prefect import Task, task
 from prefect.cache_policies import NO_CACHE
 from prefect.runtime import task_run
 
+from flows.memory import give_back
 from flows.running import Step, running
 from flows.steps_api import LoopSteps, Progress, StepResult
 
@@ -42,6 +43,7 @@ def _run(stage: str, generation: int, pick: Callable[[LoopSteps], Callable[[int,
     step = Step(active.arm, generation, stage)
     active.watcher.begin(step)
     result = pick(active.steps)(generation, active.watcher.advance)
+    give_back()
     active.watcher.end(step, result)
     return result.ids
 
