@@ -14,6 +14,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from flows.memory import give_back
+
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
 OFF = ("TRIGGERS", "EVENT_PERSISTER", "EVENT_LOGGER", "CANCELLATION_CLEANUP", "SCHEDULER", "LATE_RUNS", "FOREMAN")
 """Services of a server that schedules; this one only records what one flow does."""
@@ -55,6 +57,7 @@ def serve(listener: socket.socket) -> None:
     app: Any = create_app(ephemeral=True, final=True)
     gc.enable()
     gc.freeze()
+    give_back()
     config = uvicorn.Config(app, log_level="critical", access_log=False, timeout_graceful_shutdown=2)
     uvicorn.Server(config).run(sockets=[listener])
 

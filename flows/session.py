@@ -1,6 +1,7 @@
 """One loop on this machine, from the command line to the printed table."""
 
 import contextlib
+import gc
 import os
 import signal
 import sys
@@ -63,6 +64,7 @@ def _turn(server: EmbeddedPrefect | None) -> None:
 
     from flows.loop import closed_loop
 
+    gc.freeze()  # what was imported stays: no later collection need walk it again
     # Prefect waits up to a second for its heartbeat thread; nobody listens for heartbeats here
     quiet = temporary_settings({PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None}) if server else contextlib.nullcontext()
     try:

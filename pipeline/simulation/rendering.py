@@ -128,7 +128,11 @@ class FilmCamera:
         self._view = _view(model, camera)
         self._option = mujoco.MjvOption()
         self._context = _open_context(width, height)
-        self._renderer = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50.value)
+        shadows, model.vis.quality.shadowsize = model.vis.quality.shadowsize, 0  # else 67 MB for a map nobody draws
+        try:
+            self._renderer = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50.value)
+        finally:
+            model.vis.quality.shadowsize = shadows
         mujoco.mjr_resizeOffscreen(width, height, self._renderer)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._renderer)
         self._scene = mujoco.MjvScene(model=model, maxgeom=2000)

@@ -1,6 +1,7 @@
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 from flows.memory import MemoryWatch, tree_pss_mb
 
@@ -31,3 +32,34 @@ def test_the_peak_stays_when_the_memory_is_given_back():
         del held
         time.sleep(0.2)
     assert watch.peak_mb >= peak > 100
+
+
+def held_mb_around(work: str) -> tuple[float, float]:
+    """Memory of a fresh process before and after `work`, which may call what is in flows.memory."""
+    code = ("import os; from flows.memory import frugal, give_back, pss_mb\n"
+            f"print(pss_mb(os.getpid()))\n{work}\nprint(pss_mb(os.getpid()))")
+    told = subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).parents[2], check=True, text=True,
+                          capture_output=True).stdout.split()
+    return float(told[0]), float(told[1])
+
+
+HOLES = "blocks = [bytearray(b'x' * 50_000) for _ in range(4000)]; last = blocks.pop(); del blocks"
+
+
+def test_holes_in_the_heap_go_back_to_the_system():
+    before, kept = held_mb_around(HOLES)
+    assert kept > before + 150, "the C library keeps what lies below the newest block"
+    before, after = held_mb_around(f"{HOLES}; give_back()")
+    assert after < before + 30
+
+
+LARGE_AFTER_LARGE = "\n".join([
+    "a = bytearray(b'x' * 30_000_000); del a",
+    "blocks = [bytearray(b'x') * 20_000_000 for _ in range(5)]; small = bytearray(100_000); del blocks"])
+
+
+def test_large_arrays_go_back_at_once_in_a_frugal_process():
+    before, kept = held_mb_around(LARGE_AFTER_LARGE)
+    assert kept > before + 50, "the C library came to keep large blocks"
+    before, after = held_mb_around(f"frugal()\n{LARGE_AFTER_LARGE}")
+    assert after < before + 15

@@ -33,6 +33,35 @@ def test_a_policy_learns_both_groups_of_places(reaching, small):
         assert error[:, :3].mean() < 0.004  # [m], of steps up to 0.02
 
 
+def test_training_is_strict_about_determinism_and_leaves_pytorch_as_it_was(reaching, small):
+    seen = set[int]()
+    fit(reaching, small.model_copy(update={"steps": 20}), seed=0,
+        progress=lambda *_: seen.add(torch.get_deterministic_debug_mode()))
+    assert seen == {2}, "2 refuses what could differ from run to run"
+    assert torch.get_deterministic_debug_mode() == 0
+
+
+def test_training_leaves_the_compiler_of_pytorch_alone():
+    code = """
+import sys
+import numpy as np
+from pipeline.policies.training import fit
+from schemas.recipe import TrainConfig
+
+class Data:
+    def sample(self, rng, n, chunk):
+        draw = lambda *shape: rng.normal(size=shape).astype(np.float32)
+        return draw(n, 16), draw(n, 7), draw(n, chunk, 5), np.ones((n, chunk), bool)
+    def held_out(self, chunk):
+        return self.sample(np.random.default_rng(0), 50, chunk)
+
+fit(Data(), TrainConfig(steps=20, width=16, batch=32), 0)
+print(sorted({"torch._inductor", "torch._dynamo", "triton", "lerobot"} & set(sys.modules)))
+"""
+    told = subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, text=True, capture_output=True).stdout
+    assert told.strip() == "[]", "importing it costs a second and 110 MB"
+
+
 def test_padding_is_never_learnt(fitted):
     assert np.abs(fitted.action_mean).max() < 0.1  # padded rows hold 1000
     assert fitted.train_loss[-1][1] < 0.3

@@ -60,6 +60,12 @@ def test_pictures_are_upright_and_the_same_each_time(model):
     assert first[-10:].mean() > first[:10].mean() + 20, "the bright floor lies below the dark sky"
 
 
+def test_a_camera_leaves_the_model_as_it_was(model):
+    model.vis.quality.shadowsize = 2048
+    with FilmCamera(model, camera="side"):
+        assert model.vis.quality.shadowsize == 2048
+
+
 def test_a_view_needs_no_camera_in_the_model(model):
     with FilmCamera(model, camera=CLOSE_UP) as film, FilmCamera(model) as whole:
         rows = states(model, (0.2,))
