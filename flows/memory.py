@@ -12,7 +12,7 @@ M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, M_ARENA_MAX = -1, -3, -8
 OWN_MAPPING_BYTES = 1 << 20
 """Arrays from this size on get a mapping of their own, which goes back to the system with them."""
 ARENAS = 2
-"""Heaps that threads share; by default each new thread opens one, up to eight a core, and none shrinks in the middle."""
+"""Heaps that threads share; by default a new thread opens one of its own, up to eight a core."""
 
 
 def frugal() -> None:
