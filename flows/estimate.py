@@ -9,11 +9,12 @@ from schemas.recipe import Recipe
 def plan(recipe: Recipe, *, control: bool) -> tuple[Step, ...]:
     """Every step of a whole loop, in order; must tell the same story as flows.loop.turn."""
     arms = ("loop", "control") if control else ("loop",)
-    steps = [step for arm in arms for step in _turn(arm, recipe.generations)]
+    steps = [step for arm in arms for step in turn_steps(arm, recipe.generations)]
     return (*steps, Step("loop", recipe.generations, "report"))
 
 
-def _turn(arm: str, last: int) -> Iterator[Step]:
+def turn_steps(arm: str, last: int) -> Iterator[Step]:
+    """The steps of one arm from generation 0 to `last`; nothing is harvested that no lap would learn from."""
     yield Step(arm, 0, "collect")
     for generation in range(last + 1):
         for stage in ("augment", "build", "train", "gate", "release", "exam"):

@@ -11,6 +11,7 @@ from typing import Any
 from rich.console import Console
 
 from flows.arms import ARMS, arm_of
+from flows.estimate import turn_steps
 from flows.opening import FIRST_HELD_OUT_TWIN
 from pipeline.errors import ConfigError
 from pipeline.files import atomic
@@ -90,14 +91,9 @@ def study_seed(seed: int, recipe: Recipe, folder: Path, names: Sequence[str]) ->
 
 
 def turn(steps: Any, last: int) -> None:
-    """Every lap of one arm, without Prefect; tells the same story as flows.loop.turn."""
-    steps.collect(0, _silent)
-    for generation in range(last + 1):
-        for stage in ("augment", "build", "train", "gate", "release", "exam"):
-            getattr(steps, stage)(generation, _silent)
-        if generation < last:
-            steps.deploy(generation, _silent)
-            steps.harvest(generation, _silent)
+    """Every lap of one arm, without Prefect."""
+    for step in turn_steps(steps.name, last):
+        getattr(steps, step.stage)(step.generation, _silent)
 
 
 def _silent(done: int, total: int) -> None:
