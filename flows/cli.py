@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from flows.cli_recordings import commands as recordings
 from pipeline.errors import ConfigError, HardcaseError
 
 REFUSED, INTERRUPTED = 2, 130
@@ -19,6 +20,8 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
+
+app.add_typer(recordings)  # without a name: its commands stand beside the others
 
 Recipe = Annotated[str | None, typer.Option(help="Recipe: a name in datasets/recipes, or a path. [default: default]")]
 Seed = Annotated[int | None, typer.Option(min=0, help="Seed of data and training. [default: 0]")]
