@@ -71,7 +71,7 @@ def assemble(columns: Sequence[Column], singles: Sequence[Single], *, ticks: int
     file = Assembly()
     stamps = np.array(stamps_ns(ticks + 1, hz), np.uint64)
     file.add(records.MAGIC + records.header(PROFILE, LIBRARY))
-    _add_extras(file, metadata, attachments, int(stamps[0]))
+    add_extras(file, metadata, attachments, int(stamps[0]))
     head, numbers = _declare(file, [c.topic for c in columns] + [s.topic for s in singles])
     block, starts = interleave(columns, numbers, stamps[:-1])
     writer = _Chunks(file, numbers, tuple(numbers[c.topic] for c in columns), np.array(starts, np.uint64), stamps)
@@ -81,12 +81,13 @@ def assemble(columns: Sequence[Column], singles: Sequence[Single], *, ticks: int
         inside = [s for s in singles if a <= s.tick < b or s.tick >= b == ticks]
         writer.add(head if a == 0 else b"", block[a:b], a, inside)
     end = max([ticks - 1, *(s.tick for s in singles)])
-    _finish(file, numbers, len(metadata), len(attachments), int(stamps[0]), int(stamps[end]))
+    finish(file, numbers, len(metadata), len(attachments), int(stamps[0]), int(stamps[end]))
     return file
 
 
-def _add_extras(file: Assembly, metadata: Mapping[str, Mapping[str, str]], attachments: Mapping[str, bytes],
-                start_ns: int) -> None:
+def add_extras(file: Assembly, metadata: Mapping[str, Mapping[str, str]], attachments: Mapping[str, bytes],
+               start_ns: int) -> None:
+    """Metadata records and attachments, and their places for the summary."""
     for name, values in metadata.items():
         data = records.metadata(name, values)
         index = struct.pack("<QQ", file.add(data), len(data)) + records.text(name)
@@ -150,15 +151,8 @@ class _Chunks:
 
     def _write(self, plain: bytes, start_ns: int, end_ns: int, stamps: NDArray[np.uint64], rows: NDArray[np.uint64],
                odd: Mapping[int, list[tuple[int, int]]]) -> None:
-        packed = self.compressor.compress(plain)
-        chunk = records.chunk(start_ns, end_ns, len(plain), zlib.crc32(plain), "zstd", packed)
-        chunk_start = self.file.add(chunk)
         index, offsets = self._index(stamps, rows, odd)
-        index_start = self.file.add(index)
-        table = b"".join(struct.pack("<HQ", number, index_start + offset) for number, offset in offsets.items())
-        content = struct.pack("<QQQQI", start_ns, end_ns, chunk_start, len(chunk), len(table)) + table
-        content += struct.pack("<Q", len(index)) + records.text("zstd") + struct.pack("<QQ", len(packed), len(plain))
-        self.file.mention(Op.CHUNK_INDEX, records.record(Op.CHUNK_INDEX, content))
+        seal_chunk(self.file, plain, (start_ns, end_ns), index, offsets, self.compressor)
 
     def _index(self, stamps: NDArray[np.uint64], rows: NDArray[np.uint64],
                odd: Mapping[int, list[tuple[int, int]]]) -> tuple[bytes, dict[int, int]]:
@@ -182,8 +176,30 @@ class _Chunks:
         return data, offsets
 
 
-def _finish(file: Assembly, numbers: Mapping[str, int], metadata: int, attachments: int, start_ns: int,
-            end_ns: int) -> None:
+def seal_chunk(file: Assembly, plain: bytes, span_ns: tuple[int, int], index: bytes, offsets: Mapping[int, int],
+               compressor: zstandard.ZstdCompressor) -> None:
+    """One chunk record, its message index, and its entry for the summary.
+
+    Args:
+        file: the file on its way.
+        plain: records of the chunk.
+        span_ns: earliest and latest log time [ns].
+        index: message index records.
+        offsets: channel -> where its record starts in `index`.
+        compressor: packs `plain`.
+    """
+    packed = compressor.compress(plain)
+    chunk = records.chunk(*span_ns, len(plain), zlib.crc32(plain), "zstd", packed)
+    chunk_start = file.add(chunk)
+    index_start = file.add(index)
+    table = b"".join(struct.pack("<HQ", number, index_start + offset) for number, offset in offsets.items())
+    content = struct.pack("<QQQQI", *span_ns, chunk_start, len(chunk), len(table)) + table
+    content += struct.pack("<Q", len(index)) + records.text("zstd") + struct.pack("<QQ", len(packed), len(plain))
+    file.mention(Op.CHUNK_INDEX, records.record(Op.CHUNK_INDEX, content))
+
+
+def finish(file: Assembly, numbers: Mapping[str, int], metadata: int, attachments: int, start_ns: int,
+           end_ns: int) -> None:
     """End of the data section, summary, footer."""
     counts = b"".join(struct.pack("<HQ", number, count) for number, count in sorted(file.counts.items()))
     groups = file.groups
