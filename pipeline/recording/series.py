@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 from pipeline.errors import RecordingError
 from pipeline.recording.cdr import Layout
 from pipeline.recording.dialect import MESSAGE_ENCODING
+from pipeline.recording.errors import DAMAGED, reading, refuse
+from pipeline.recording.fields import text
 from pipeline.recording.records import MESSAGE_FIELDS, MESSAGE_HEAD, Op
-from pipeline.recording.scan import DAMAGED, Scan, reading, refuse, unpack
+from pipeline.recording.scan import Scan, unpack
 from pipeline.trace import Rows
 
 MAX_MESSAGES = 4_000_000
@@ -160,24 +162,17 @@ def _walk(plain: bytes, base: int, starts: defaultdict[int, list[int]], schemas:
                 raise ValueError(f"message of {size} B at byte {at} of the unpacked chunk")
             starts[number].append(base + at)
         elif op == Op.SCHEMA:
-            schemas[number] = _text(plain, at + 11, stop)[0]
+            schemas[number] = text(plain, at + 11, stop)[0]
         elif op == Op.CHANNEL:
             (schema,) = struct.unpack_from("<H", plain, at + 11)
-            topic, after = _text(plain, at + 13, stop)
-            encoding, _ = _text(plain, after, stop)
+            topic, after = text(plain, at + 13, stop)
+            encoding, _ = text(plain, after, stop)
             if encoding != MESSAGE_ENCODING:
                 raise ValueError(f"topic {topic} is encoded as {encoding!r}, not {MESSAGE_ENCODING!r}")
             channels[number] = (topic, schemas.get(schema, ""))
         else:
             raise ValueError(f"record of type {op} at byte {at} of the unpacked chunk")
         at = stop
-
-
-def _text(data: bytes, at: int, stop: int) -> tuple[str, int]:
-    (size,) = struct.unpack_from("<I", data, at)
-    if at + 4 + size > stop:
-        raise ValueError(f"string of {size} B at byte {at} runs over its record")
-    return data[at + 4 : at + 4 + size].decode(), at + 4 + size
 
 
 def _gather(data: bytes, starts: NDArray[np.intp], size: int) -> NDArray[np.uint8]:
