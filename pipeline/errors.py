@@ -39,6 +39,10 @@ class DatasetError(HardcaseError):
     """A dataset version cannot be built or does not hold what its manifest says."""
 
 
+class ConsentError(HardcaseError):
+    """A person did not consent to what is asked for, or does not any more."""
+
+
 class PolicyError(HardcaseError):
     """A policy file is refused or does not fit the robot."""
 

@@ -5,6 +5,7 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from schemas.base import Frozen, Sha256, ShortId
+from schemas.consent import SIMULATED
 from schemas.scene import SceneSpec
 
 type Origin = Literal["scripted", "teleop", "replayed", "retargeted", "deployed", "corrected", "oracle"]
@@ -55,7 +56,8 @@ class Episode(Frozen):
     policy: ShortId | None = Field(default=None, description="policy that acted, if one did")
     generation: int = Field(ge=0)
     blob: Sha256 | None = Field(default=None, description="the MCAP recording, or the shard of variant frames")
-    consent: str = Field(default="simulated", description="consent record; 'simulated' where no person was recorded")
+    consent: str = Field(default=SIMULATED, description="id of a Consent; 'simulated' where no person was recorded, "
+                                                        "'none' where one was and gave none")
 
     @property
     def duration_s(self) -> float:

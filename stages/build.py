@@ -1,10 +1,11 @@
 """Build: episodes and a recipe become an immutable dataset version."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import get_args
 
 from pipeline import arrow, frames, shards, trace
+from pipeline.consent import NO_CONSENTS, Consents
 from pipeline.errors import ConfigError, DatasetError
 from pipeline.files import short_id, source_hash
 from pipeline.frames import Frames
@@ -25,7 +26,7 @@ FOLDER = "versions"
 
 def build(episodes: Sequence[Episode], frames_of: Callable[[Episode], Frames] | Mapping[str, Frames], recipe: Recipe,
           *, store: Path, task: str, generation: int, parent: DatasetVersion | None = None,
-          consents: Collection[str] = ()) -> DatasetVersion:
+          consents: Consents = NO_CONSENTS) -> DatasetVersion:
     """Make the dataset version that the recipe asks for, or return it if it is already there.
 
     Episodes of the parent keep their order and come first; those that also keep their place share its
@@ -41,15 +42,17 @@ def build(episodes: Sequence[Episode], frames_of: Callable[[Episode], Frames] | 
         task: what the robot is asked to do, in words, for language-conditioned policies.
         generation: lap of the loop, from 0.
         parent: the version this one grows from.
-        consents: ids of the consent records that hold.
+        consents: the consent records, and the moment of this use.
 
     Raises:
-        DatasetError: nothing is left after the filter, an episode has no consent or recording, its frames
-            are not what its record says, or the parent's folder is damaged.
+        ConsentError: a person in an episode, or in one that it was made from, does not consent.
+        DatasetError: nothing is left after the filter, an episode has no recording, its frames are not
+            what its record says, or the parent's folder is damaged.
         RecordingError: a frame that is not finite or has a wrong shape; names the episode.
         ConfigError: weights that do not fit the groups of episodes.
     """
-    chosen = _in_order(_filtered(episodes, recipe, consents), parent)
+    chosen = _in_order(_filtered(episodes, recipe), parent)
+    consents.check(chosen, episodes)
     fps, robot = _common(chosen)
     code = code_hash()
     version = short_id(
@@ -97,7 +100,7 @@ def _getter(frames_of: Callable[[Episode], Frames] | Mapping[str, Frames]) -> Ca
     return get
 
 
-def _filtered(episodes: Sequence[Episode], recipe: Recipe, consents: Collection[str]) -> list[Episode]:
+def _filtered(episodes: Sequence[Episode], recipe: Recipe) -> list[Episode]:
     config = recipe.dataset
     for source in config.sources:
         if source not in ORIGINS:
@@ -108,7 +111,7 @@ def _filtered(episodes: Sequence[Episode], recipe: Recipe, consents: Collection[
         rejected_stay = recipe.augment.keep_rejected and episode.origin in VARIANTS
         wanted = not config.only_success or episode.outcome.label == "success" or rejected_stay
         if episode.origin in config.sources and wanted:
-            chosen.append(_usable(episode, consents))
+            chosen.append(_kept(episode))
     if len({e.id for e in chosen}) < len(chosen):
         twice = next(e.id for k, e in enumerate(chosen) if e.id in {c.id for c in chosen[:k]})
         raise DatasetError("an episode is there twice", where=f"episode {twice}", mend="hand over each episode once")
@@ -119,14 +122,9 @@ def _filtered(episodes: Sequence[Episode], recipe: Recipe, consents: Collection[
     return chosen
 
 
-def _usable(episode: Episode, consents: Collection[str]) -> Episode:
-    where = f"episode {episode.id}"
-    simulated = episode.consent == "simulated" and episode.origin != "teleop"
-    if not simulated and episode.consent not in consents:
-        raise DatasetError(f"episode {episode.id} has no consent record; it cannot be used for training",
-                           where=where, mend="record the person's consent, or drop the episode")
+def _kept(episode: Episode) -> Episode:
     if episode.blob is None:
-        raise DatasetError(f"episode {episode.id} has no recording", where=where,
+        raise DatasetError(f"episode {episode.id} has no recording", where=f"episode {episode.id}",
                            mend="store its recording or shard first, or drop the episode")
     return episode
 

@@ -7,15 +7,23 @@ from importlib.metadata import PackageNotFoundError, version
 from pipeline.files import sha256
 from pipeline.recording import records
 from pipeline.recording.dialect import SCHEMA_VERSION
+from schemas.consent import SIMULATED, Consent
 from schemas.episode import Episode
 
 NAME, SEAL = "episode", "sha256"
 
 
-def episode_metadata(episode: Episode, *, software: Mapping[str, str], truncated: bool) -> dict[str, str]:
-    """Strings of the record; `episode_json` holds the whole Episode without its blob, the file's own hash."""
+def episode_metadata(episode: Episode, *, software: Mapping[str, str], truncated: bool,
+                     consent: Consent | None = None) -> dict[str, str]:
+    """Strings of the record; `episode_json` holds the whole Episode without its blob, the file's own hash.
+
+    Args:
+        episode: what was attempted.
+        software: software_commit, simulator_version and further strings.
+        truncated: whether the end is missing.
+        consent: the record that the episode refers to, where a person was recorded.
+    """
     scene, outcome = episode.scene, episode.outcome
-    people = [s.actor for s in episode.segments if s.kind != "autonomous"]
     values = {
         "schema_version": SCHEMA_VERSION,
         "episode": episode.id,
@@ -23,8 +31,7 @@ def episode_metadata(episode: Episode, *, software: Mapping[str, str], truncated
         "robot": scene.robot,
         "scene": scene.scene,
         "task": scene.task,
-        "operator": people[0] if people else "none",
-        "consent": episode.consent,
+        **consent_strings(episode, consent),
         "outcome": outcome.label,
         "reason": outcome.reason or "",
         "family": scene.family,
@@ -41,6 +48,18 @@ def episode_metadata(episode: Episode, *, software: Mapping[str, str], truncated
         "episode_json": episode.model_copy(update={"blob": None}).model_dump_json(),
     }
     return {**values, SEAL: seal(values)}
+
+
+def consent_strings(episode: Episode, consent: Consent | None) -> dict[str, str]:
+    """Who was recorded (by pseudonym), where, for what and until when it may be used; a simulation says so."""
+    actors = [s.actor for s in episode.segments if s.kind != "autonomous"]
+    if consent is not None:
+        operator, site, purpose, until = (consent.operator, consent.site, ",".join(consent.purposes),
+                                          consent.expires.isoformat())
+    else:
+        operator = actors[0] if actors else "none"
+        site = purpose = until = SIMULATED if episode.consent == SIMULATED else "unknown"
+    return {"operator": operator, "consent": episode.consent, "site": site, "purpose": purpose, "expires": until}
 
 
 def seal(values: Mapping[str, str]) -> str:

@@ -70,7 +70,8 @@ def _recover_one(part: Path) -> Recovered | None:
 
 
 def _software(strings: Mapping[str, str]) -> dict[str, str]:
-    return {key: strings[key] for key in ("software_commit", "simulator_version") if key in strings}
+    kept = ("operator", "site", "purpose", "expires", "software_commit", "simulator_version")
+    return {key: strings[key] for key in kept if key in strings}
 
 
 def _quarantine(part: Path, reason: str) -> Recovered:

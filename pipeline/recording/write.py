@@ -20,6 +20,7 @@ from pipeline.recording.columns import check_trace, columns, singles
 from pipeline.recording.metadata import NAME, episode_metadata
 from pipeline.recording.summary import read_summary
 from pipeline.trace import Trace
+from schemas.consent import Consent
 from schemas.episode import Episode
 
 RESERVE_BYTES = 64 << 20
@@ -43,11 +44,12 @@ class Recording:
     attachments: Mapping[str, bytes]
     software: Mapping[str, str] = field(default_factory=dict[str, str])
     truncated: bool = False
+    consent: Consent | None = None
 
 
 def write_episode(path: Path, episode: Episode, trace: Trace, *, attachments: Mapping[str, bytes],
                   software: Mapping[str, str] | None = None, fsync: bool = True,
-                  reserve_bytes: int = RESERVE_BYTES) -> str:
+                  reserve_bytes: int = RESERVE_BYTES, consent: Consent | None = None) -> str:
     """Write one episode as NAME.mcap and return the file's sha256.
 
     The bytes follow from the arguments alone. The file is written as NAME.mcap.part, flushed, synced, its
@@ -61,11 +63,12 @@ def write_episode(path: Path, episode: Episode, trace: Trace, *, attachments: Ma
         software: software_commit, simulator_version and further strings for the metadata.
         fsync: False leaves the bytes to the page cache: they may be gone after a power cut.
         reserve_bytes: free space to leave on the disk [B].
+        consent: the record that the episode refers to, where a person was recorded.
 
     Raises:
-        RecordingError: the trace does not fit its episode, or the disk is short, full or refuses.
+        RecordingError: the trace or the consent does not fit the episode, or the disk is short, full or refuses.
     """
-    item = Recording(path, episode, trace, attachments, software or {})
+    item = Recording(path, episode, trace, attachments, software or {}, consent=consent)
     return write_episodes([item], fsync=fsync, reserve_bytes=reserve_bytes)[0]
 
 
@@ -88,8 +91,11 @@ def encode(item: Recording) -> Assembly:
         raise RecordingError(f"trace has {len(trace)} ticks at {trace.hz} Hz, its episode says {episode.frames} "
                              f"at {episode.control_hz} Hz",
                              where=where, mend="make the Episode from the trace it tells of")
+    if item.consent is not None and item.consent.id != episode.consent:
+        raise RecordingError(f"the episode refers to consent {episode.consent!r}, not to {item.consent.id!r}",
+                             where=where, mend="set Episode.consent to the id of the record")
     check_trace(trace, where)
-    metadata = episode_metadata(episode, software=item.software, truncated=item.truncated)
+    metadata = episode_metadata(episode, software=item.software, truncated=item.truncated, consent=item.consent)
     found = singles(trace, item.attachments.get("robot.urdf"))
     return assemble(list(columns(trace)), found, ticks=len(trace), hz=trace.hz, metadata={NAME: metadata},
                     attachments=item.attachments)

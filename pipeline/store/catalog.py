@@ -77,6 +77,15 @@ MIGRATIONS: tuple[str, ...] = (
     ) STRICT, WITHOUT ROWID;
     CREATE INDEX member_id ON member (id);
     """,
+    """
+    CREATE TABLE consent (
+        place INTEGER PRIMARY KEY, id TEXT NOT NULL UNIQUE, operator TEXT NOT NULL, site TEXT NOT NULL,
+        expires TEXT NOT NULL, json TEXT NOT NULL
+    ) STRICT;
+    CREATE TABLE consent_end (
+        consent TEXT PRIMARY KEY REFERENCES consent (id), json TEXT NOT NULL
+    ) STRICT;
+    """,
 )
 """Migration k brings a catalog from schema k to k + 1. Never edit one that was released; append."""
 

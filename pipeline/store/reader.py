@@ -6,9 +6,11 @@ from json import dumps
 
 from pipeline.errors import StoreError
 from pipeline.store.catalog import Catalog
+from pipeline.store.consents import consents, unknown_consent
 from pipeline.store.folder import check_id, check_prefix
 from pipeline.store.records import RunInfo, StepManifest
 from schemas.base import Frozen
+from schemas.consent import Consent
 from schemas.dataset import DatasetVersion
 from schemas.episode import Episode
 from schemas.hardcase import HardCase
@@ -143,6 +145,17 @@ class Reader:
     def champion(self, run: str) -> Release | None:
         """The last release of a run, or None before the first."""
         return next(reversed(self.releases(run)), None)
+
+    def consents(self) -> dict[str, Consent]:
+        """Id -> what a person consented to, in the order of adding; revoked and expired records stay."""
+        return consents(self._catalog)
+
+    def consent(self, id: str) -> Consent:
+        """One person's consent."""
+        found = self.consents().get(id)
+        if found is None:
+            raise unknown_consent(self._catalog, id)
+        return found
 
     def query(self, sql: str, parameters: tuple[object, ...] = ()) -> list[tuple[object, ...]]:
         """Rows of the catalog; for lineage, garbage and reports, which ask across tables. Reading only."""

@@ -3,6 +3,7 @@
 from collections.abc import Generator, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Self
@@ -12,6 +13,7 @@ from pipeline.files import sha256_file
 from pipeline.store import lease as leases
 from pipeline.store.blobs import Blobs
 from pipeline.store.catalog import Catalog
+from pipeline.store.consents import add_consent, revoke_consent
 from pipeline.store.folder import (
     RESERVE_MB,
     FaultPoint,
@@ -27,6 +29,7 @@ from pipeline.store.lease import Lease
 from pipeline.store.process import Holder
 from pipeline.store.reader import Reader
 from pipeline.store.transaction import Transaction
+from schemas.consent import Consent
 
 WAITING = 8
 """Blobs written at once: the file system commits their fsyncs together."""
@@ -143,6 +146,14 @@ class Store(Reader):
                 tx.settle()
             except OSError as error:
                 raise explain(error, self.root) from error
+
+    def add_consent(self, consent: Consent) -> None:
+        """Keep what a person consented to; it belongs to no run and needs no lease."""
+        add_consent(self._catalog, consent)
+
+    def revoke_consent(self, id: str, at: datetime) -> Consent:
+        """Note that a person took their consent back at this moment; the record as it is from now on."""
+        return revoke_consent(self._catalog, id, at)
 
     @contextmanager
     def exclusive(self) -> Generator[None]:

@@ -2,13 +2,16 @@
 
 import errno
 import json
+from datetime import UTC, date, datetime
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline.errors import ConfigError, DatasetError, RecordingError
+from pipeline.consent import Consents
+from pipeline.errors import ConfigError, DatasetError, HardcaseError, RecordingError
 from pipeline.frames import Frames
+from schemas.consent import Consent
 from schemas.recipe import DatasetConfig
 from stages.build import build, load_version
 
@@ -151,21 +154,24 @@ def test_bad_frames_are_refused_by_episode_and_leave_nothing(make, demos, frames
 
 
 @pytest.mark.parametrize(("fields", "message"), [
-    ({"consent": "form 12"}, r"has no consent record; it cannot be used for training\n.*\n  mend: record"),
-    ({"origin": "teleop"}, r"has no consent record; it cannot be used for training\n.*\n  mend: record"),
+    ({"consent": "form 12"}, r"has no consent record; it cannot be used for training\n.*\n  mend: leave"),
+    ({"origin": "teleop"}, r"has no consent record; it cannot be used for training\n.*\n  mend: leave"),
     ({"blob": None}, r"has no recording\n.*\n  mend: store its recording"),
     ({"control_hz": 30.0}, r"'arm' at 30 Hz beside 'arm' at 20 Hz\n.*\n  mend: build one version for each"),
 ], ids=["unknown consent", "a person without consent", "no recording", "another rate"])
 def test_an_episode_that_may_not_enter_is_refused(make, demos, episode, recipe, fields, message):
     every = recipe.model_copy(update={"dataset": DatasetConfig(sources=("scripted", "teleop"))})
-    with pytest.raises(DatasetError, match=message):
+    with pytest.raises(HardcaseError, match=message):
         make([*demos, episode("odd", **fields)], recipe=every)
 
 
 def test_a_person_who_consented_may_teach(make, demos, episode, recipe):
     every = recipe.model_copy(update={"dataset": DatasetConfig(sources=("scripted", "teleop"))})
     person = episode("person", "teleop", consent="form-12")
-    assert person.id in make([*demos, person], recipe=every, consents={"form-12"}).episodes
+    form = Consent(id="form-12", operator="ada", site="lab", purposes=("training",), given=date(2026, 1, 1),
+                   expires=date(2026, 12, 31))
+    consents = Consents({form.id: form}, datetime(2026, 6, 1, tzinfo=UTC))
+    assert person.id in make([*demos, person], recipe=every, consents=consents).episodes
 
 
 @pytest.mark.parametrize("call", ["fsync", "link", "mkdir"])
