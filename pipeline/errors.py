@@ -43,6 +43,10 @@ class ConsentError(HardcaseError):
     """A person did not consent to what is asked for, or does not any more."""
 
 
+class RobotError(HardcaseError):
+    """A robot or a person's input device is missing, gone, or refuses what was asked of it."""
+
+
 class PolicyError(HardcaseError):
     """A policy file is refused or does not fit the robot."""
 
