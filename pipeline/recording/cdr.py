@@ -134,6 +134,17 @@ def log(ns: int, level: int, name: str, message: str) -> bytes:
     return Builder().stamp(ns).u8(level).text(name).text(message).text("").text("").u32(0).payload()
 
 
+def compressed_image(ns: int, frame: str, kind: str, data: bytes) -> bytes:
+    """sensor_msgs/CompressedImage; `frame` names the camera, `kind` the format, as 'jpeg'."""
+    return Builder().stamp(ns).text(frame).text(kind).u32(len(data)).payload() + data
+
+
+def joy(ns: int, axes: Sequence[float], buttons: Sequence[int]) -> bytes:
+    """sensor_msgs/Joy: axes as float32, buttons as int32."""
+    head = Builder().stamp(ns).text("").u32(len(axes)).payload()
+    return head + struct.pack(f"<{len(axes)}fI{len(buttons)}i", *axes, len(buttons), *buttons)
+
+
 class Cursor:
     """Reads CDR fields of one payload and never past its end; ValueError on anything that cannot be."""
 

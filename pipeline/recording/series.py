@@ -90,6 +90,8 @@ class Messages:
     first_ns: int
     broken: RecordingError | None
     """Why the walk ended early, where that was allowed."""
+    counts: dict[int, int]
+    """Channel number -> messages."""
 
 
 def collect(found: Scan, wanted: Callable[[str], bool], *, tolerant: bool) -> Messages:
@@ -141,7 +143,7 @@ def _sort(found: Scan, data: bytes, starts: dict[int, list[int]], channels: dict
             topics[topic] = Series(topic, kind, found.where, data, places, heads)
             topics[topic].check_order()
     total = sum(map(len, starts.values()))
-    return Messages(topics, total, last, first if total else 0, broken)
+    return Messages(topics, total, last, first if total else 0, broken, {n: len(s) for n, s in starts.items()})
 
 
 def _walk(plain: bytes, base: int, starts: defaultdict[int, list[int]], schemas: dict[int, str],

@@ -116,7 +116,7 @@ def _write_group(items: Sequence[Recording], fsync: bool, reserve_bytes: int) ->
             for item in items:
                 file = encode(item)
                 with named(item.path):
-                    _leave_reserve(item.path.parent, file.offset, reserve_bytes)
+                    leave_reserve(item.path.parent, file.offset, reserve_bytes)
                     stream = stack.enter_context(_locked_part(item.path))
                     started.append((item, sum(file.counts.values()), None))
                     digests.append(_write(stream, file.pieces))
@@ -181,7 +181,8 @@ def _read_back(part: Path, messages: int) -> None:
         raise ValueError(f"{found} messages of {messages}")
 
 
-def _leave_reserve(folder: Path, size: int, reserve_bytes: int) -> None:
+def leave_reserve(folder: Path, size: int, reserve_bytes: int) -> None:
+    """Raise RecordingError unless `size` bytes fit into a folder's disk and the reserve stays free."""
     while not folder.exists():
         folder = folder.parent
     free = shutil.disk_usage(folder).free
