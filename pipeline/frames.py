@@ -1,7 +1,9 @@
 """Frames: the dataset features of one episode as arrays, and their names, shapes and units."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,13 +23,49 @@ ENVIRONMENT = ("object_x", "object_y", "object_z", "object_yaw", "target_x", "ta
 ACTION = ("dx", "dy", "dz", "dyaw", "gripper")
 """action: motion relative to the last commanded pose [m, rad] and finger opening asked for [m]."""
 
-FEATURES = MappingProxyType({
+type Features = Mapping[str, tuple[str, ...]]
+"""Feature name -> names of its values, in the column order of a dataset version."""
+
+FEATURES: Features = MappingProxyType({
     "observation.state": STATE,
     "observation.environment_state": ENVIRONMENT,
     "action": ACTION,
     "action.joint": (*JOINTS, "gripper"),
 })
-"""Feature name -> names of its values, in the column order of a dataset version."""
+"""The features of the reference arm."""
+
+
+class Table(Protocol):
+    """One episode of some robot on its control clock: what a dataset version takes."""
+
+    @property
+    def names(self) -> Features:
+        """The features that it has."""
+        ...
+
+    def __len__(self) -> int:
+        """How many frames."""
+        ...
+
+    def columns(self) -> dict[str, NDArray[np.float32]]:
+        """Feature name -> array (frames, values), in the order of `names`."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class FeatureTable:
+    """One episode of any robot, with the features that were declared for it."""
+
+    names: Features
+    values: Mapping[str, NDArray[np.float32]]
+    """Feature name -> array (frames, values); the same keys as `names`."""
+
+    def __len__(self) -> int:
+        return len(next(iter(self.values.values())))
+
+    def columns(self) -> dict[str, NDArray[np.float32]]:
+        """Feature name -> array, in the order of `names`."""
+        return {name: self.values[name] for name in self.names}
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,18 +84,29 @@ class Frames:
     def __len__(self) -> int:
         return len(self.state)
 
+    @property
+    def names(self) -> Features:
+        """The features of the reference arm."""
+        return FEATURES
+
     def columns(self) -> dict[str, NDArray[np.float32]]:
         """Feature name -> array, in the order of FEATURES."""
         return dict(zip(FEATURES, (self.state, self.environment, self.action, self.joint_action), strict=True))
 
     def check(self, where: object) -> "Frames":
         """Return self, or raise RecordingError naming the first wrong shape or value that is not finite."""
-        for (name, names), array in zip(FEATURES.items(), self.columns().values(), strict=True):
-            if array.shape != (len(self), len(names)):
-                raise RecordingError(f"{name} has {array.shape[-1]} values, the robot expects {len(names)}",
-                                     where=where, mend="record with the robot that the recipe names")
-            if not np.isfinite(array).all():
-                row, column = (int(i) for i in np.argwhere(~np.isfinite(array))[0])
-                raise RecordingError(f"{name}[{column}] is {array[row, column]} at frame {row}",
-                                     where=where, mend="drop the episode: it cannot be trained on")
+        check_table(self, where)
         return self
+
+
+def check_table(table: Table, where: object, robot: str | None = None) -> None:
+    """Raise RecordingError naming the first wrong shape or value that is not finite, and `robot` if it is known."""
+    expects = "the robot" if robot is None else f"robot {robot!r}"
+    for (name, names), array in zip(table.names.items(), table.columns().values(), strict=True):
+        if array.shape != (len(table), len(names)):
+            raise RecordingError(f"{name} has {array.shape[-1]} values, {expects} expects {len(names)}",
+                                 where=where, mend="record with the robot that the recipe names")
+        if not np.isfinite(array).all():
+            row, column = (int(i) for i in np.argwhere(~np.isfinite(array))[0])
+            raise RecordingError(f"{name}[{column}] is {array[row, column]} at frame {row}",
+                                 where=where, mend="drop the episode: it cannot be trained on")

@@ -14,7 +14,7 @@ import numpy as np
 from pipeline.arrow import pa, to_arrow, to_rows
 from pipeline.errors import DatasetError
 from pipeline.files import atomic
-from pipeline.frames import FEATURES, Frames
+from pipeline.frames import FEATURES, Frames, Table, check_table
 
 FORMAT = "hardcase-shard-1"
 
@@ -65,13 +65,14 @@ def read_shard(path: Path) -> dict[str, Frames]:
                            mend="make the variants again: hardcase augment") from error
 
 
-def check_frames(frames: Frames, where: str) -> Frames:
+def check_frames[T: Table](frames: T, where: str) -> T:
     """Frames that are float32, finite and of the right shape, or the error that names the first fault."""
     for name, values in frames.columns().items():
         if values.dtype != np.float32 or values.ndim != 2:
             raise DatasetError(f"{name} is {values.dtype} of shape {values.shape}, must be float32 in rows",
                                where=where, mend="hand over Trace.frames() as it is")
-    return frames.check(where)
+    check_table(frames, where)
+    return frames
 
 
 def _episodes(reader: Any) -> dict[str, Frames]:

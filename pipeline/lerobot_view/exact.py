@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.frames import FEATURES, Features
 from pipeline.lerobot_view.layout import widths
 
 QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
@@ -18,11 +19,11 @@ MEASURES = ("min", "max", "mean", "std", *QUANTILES)
 
 def as_matrix(columns: dict[str, NDArray[Any]]) -> NDArray[np.float64]:
     """All features below each other, shape (values, n): value 0 of the first feature is row 0."""
-    matrix = np.empty((sum(widths().values()), len(next(iter(columns.values())))))
+    matrix = np.empty((sum(values.shape[1] for values in columns.values()), len(next(iter(columns.values())))))
     row = 0
-    for name, width in widths().items():
-        matrix[row:row + width] = columns[name].T
-        row += width
+    for values in columns.values():
+        matrix[row:row + values.shape[1]] = values.T
+        row += values.shape[1]
     return matrix
 
 
@@ -44,11 +45,12 @@ def measure(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     return result
 
 
-def by_feature(measures: NDArray[np.float64], frames: int) -> dict[str, dict[str, list[float] | list[int]]]:
+def by_feature(measures: NDArray[np.float64], frames: int, of: Features = FEATURES,
+               ) -> dict[str, dict[str, list[float] | list[int]]]:
     """Feature -> measure -> one number a value, as stats.json holds it."""
     result: dict[str, dict[str, list[float] | list[int]]] = {}
     row = 0
-    for name, width in widths().items():
+    for name, width in widths(of).items():
         values = measures[:, row:row + width].tolist()
         result[name] = {**dict(zip(MEASURES, values, strict=True)), "count": [frames]}
         row += width

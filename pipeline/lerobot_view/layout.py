@@ -6,7 +6,7 @@ Source: lerobot 0.6.1, lerobot/datasets/utils.py (DatasetInfo, path patterns) an
 from collections.abc import Iterable
 from pathlib import Path
 
-from pipeline.frames import FEATURES
+from pipeline.frames import FEATURES, Features
 
 INFO = "meta/info.json"
 STATS = "meta/stats.json"
@@ -28,29 +28,29 @@ BOOKKEEPING = {
 """Columns that every LeRobot dataset has, one value a frame."""
 
 
-def features() -> dict[str, dict[str, object]]:
+def features(of: Features = FEATURES) -> dict[str, dict[str, object]]:
     """Feature name -> dtype, shape and value names, in the column order of the data files."""
     declared: dict[str, dict[str, object]] = {
-        name: {"dtype": "float32", "shape": [len(names)], "names": list(names)} for name, names in FEATURES.items()
+        name: {"dtype": "float32", "shape": [len(names)], "names": list(names)} for name, names in of.items()
     }
     declared[INTERVENTION] = {"dtype": "int64", "shape": [1], "names": None}
     declared |= {name: {"dtype": dtype, "shape": [1], "names": None} for name, dtype in BOOKKEEPING.items()}
     return declared
 
 
-def widths() -> dict[str, int]:
+def widths(of: Features = FEATURES) -> dict[str, int]:
     """Feature name -> values a frame, in column order."""
-    return {name: len(names) for name, names in FEATURES.items()} | {
+    return {name: len(names) for name, names in of.items()} | {
         name: 1 for name in (INTERVENTION, *BOOKKEEPING)
     }
 
 
-def frame_bytes() -> int:
+def frame_bytes(of: Features = FEATURES) -> int:
     """Uncompressed size of one frame in a data file [B]."""
-    return sum(len(names) for names in FEATURES.values()) * 4 + 8 + 4 + 4 * 8
+    return sum(len(names) for names in of.values()) * 4 + 8 + 4 + 4 * 8
 
 
-def info(*, robot: str, fps: int, episodes: int, frames: int, tasks: int) -> dict[str, object]:
+def info(*, robot: str, fps: int, episodes: int, frames: int, tasks: int, of: Features = FEATURES) -> dict[str, object]:
     """The content of info.json.
 
     The one split, train, spans every episode, because a LeRobot split must be a contiguous range and
@@ -59,7 +59,7 @@ def info(*, robot: str, fps: int, episodes: int, frames: int, tasks: int) -> dic
     return {
         "codebase_version": "v3.0",
         "fps": fps,
-        "features": features(),
+        "features": features(of),
         "total_episodes": episodes,
         "total_frames": frames,
         "total_tasks": tasks,

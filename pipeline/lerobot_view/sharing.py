@@ -1,6 +1,6 @@
 """What a version can take over from its parent without writing it again."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrow import pa, read_parquet, to_rows
+from pipeline.frames import FEATURES, Features
 from pipeline.lerobot_view.exact import MEASURES
 from pipeline.lerobot_view.layout import EPISODES, data_file, file_number, widths
 from pipeline.lerobot_view.tables import Columns, Place, Row
@@ -25,15 +26,16 @@ class Shared:
     """Statistics of each episode, shape (episodes, len(MEASURES), values)."""
 
 
-def shared_with(parent: Path | None, rows: Sequence[Row]) -> Shared:
+def shared_with(parent: Path | None, rows: Sequence[Row], of: Features = FEATURES) -> Shared:
     """The longest run of whole data files of the parent that hold the first of these rows, in order.
 
     An episode is the same if its id, recording, segments and task are: then its row group is, bit for
     bit, since the indices count from the start of the version. A file with one episode that left
     or changed, and all files after it, must be written again.
     """
+    columns = widths(of)
     if parent is None:
-        return _nothing()
+        return _nothing(columns)
     table = read_parquet(parent / EPISODES)
     kept: list[Place] = []
     chunks, files, starts, stops = (table.column(name).to_pylist() for name in (
@@ -47,25 +49,25 @@ def shared_with(parent: Path | None, rows: Sequence[Row]) -> Shared:
             break
         kept += [Place(number, starts[k], stops[k]) for k in here]
     if not kept:
-        return _nothing()
+        return _nothing(columns)
     shared = tuple(data_file(number) for number in range(kept[-1].file + 1))
-    return Shared(shared, tuple(kept), _read(parent, shared), _measures(table, len(kept)))
+    return Shared(shared, tuple(kept), _read(parent, shared, columns), _measures(table, len(kept), columns))
 
 
-def _nothing() -> Shared:
-    empty: Columns = {name: np.empty((0, width)) for name, width in widths().items()}
-    return Shared((), (), empty, np.empty((0, len(MEASURES), sum(widths().values()))))
+def _nothing(widths: Mapping[str, int]) -> Shared:
+    empty: Columns = {name: np.empty((0, width)) for name, width in widths.items()}
+    return Shared((), (), empty, np.empty((0, len(MEASURES), sum(widths.values()))))
 
 
-def _read(folder: Path, files: Sequence[str]) -> Columns:
+def _read(folder: Path, files: Sequence[str], widths: Mapping[str, int]) -> Columns:
     table = pa.concat_tables([read_parquet(folder / file) for file in files])
-    return {name: to_rows(table.column(name), width) for name, width in widths().items()}
+    return {name: to_rows(table.column(name), width) for name, width in widths.items()}
 
 
-def _measures(table: Any, episodes: int) -> NDArray[np.float64]:
-    result = np.empty((episodes, len(MEASURES), sum(widths().values())))
+def _measures(table: Any, episodes: int, widths: Mapping[str, int]) -> NDArray[np.float64]:
+    result = np.empty((episodes, len(MEASURES), sum(widths.values())))
     first = 0
-    for name, width in widths().items():
+    for name, width in widths.items():
         for k, measure in enumerate(MEASURES):
             column = table.column(f"stats/{name}/{measure}").slice(0, episodes)
             result[:, k, first:first + width] = to_rows(column, width)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrow import lists, pa, scalars, texts, to_arrow
-from pipeline.frames import FEATURES, Frames
+from pipeline.frames import FEATURES, Features, Table
 from pipeline.lerobot_view.exact import MEASURES
 from pipeline.lerobot_view.layout import BOOKKEEPING, INTERVENTION, chunk_and_file, widths
 from schemas.episode import Episode
@@ -56,7 +56,7 @@ def taught(episode: Episode) -> int:
     return sum(s.stop - s.start for s in episode.segments if s.kind == "intervention") or episode.frames
 
 
-def frame_columns(rows: Sequence[Row], frames: Sequence[Frames], tasks: Sequence[str], *, fps: int,
+def frame_columns(rows: Sequence[Row], frames: Sequence[Table], tasks: Sequence[str], *, fps: int,
                   first_episode: int, first_frame: int) -> Columns:
     """All feature columns of some episodes that follow each other in a version."""
     lengths = np.array([len(f) for f in frames])
@@ -68,7 +68,8 @@ def frame_columns(rows: Sequence[Row], frames: Sequence[Frames], tasks: Sequence
         for segment in row.episode.segments:
             if segment.kind == "intervention":
                 intervention[start + segment.start:start + segment.stop] = 1
-    columns: Columns = {name: np.concatenate([f.columns()[name] for f in frames]) for name in FEATURES}
+    taken = [f.columns() for f in frames]
+    columns: Columns = {name: np.concatenate([f[name] for f in taken]) for name in frames[0].names}
     scalars: Columns = {
         INTERVENTION: intervention,
         "timestamp": (frame_index / fps).astype(np.float32),
@@ -82,7 +83,7 @@ def frame_columns(rows: Sequence[Row], frames: Sequence[Frames], tasks: Sequence
 
 def write_frames(path: Path, columns: Columns, lengths: Sequence[int]) -> None:
     """One data file, one row group an episode, so that a reader can fetch a single episode."""
-    table = pa.table({name: to_arrow(columns[name]) for name in widths()})
+    table = pa.table({name: to_arrow(values) for name, values in columns.items()})
     few_values = [INTERVENTION, "episode_index", "task_index"]
     path.parent.mkdir(parents=True, exist_ok=True)
     with pa.parquet.ParquetWriter(path, table.schema, compression="snappy", use_dictionary=few_values,
@@ -110,7 +111,8 @@ def write_tasks(path: Path, tasks: Sequence[str]) -> None:
     pa.parquet.write_table(table.replace_schema_metadata({"pandas": json.dumps(pandas)}), path)
 
 
-def write_episodes(path: Path, rows: Sequence[Row], places: Sequence[Place], measures: NDArray[np.float64]) -> None:
+def write_episodes(path: Path, rows: Sequence[Row], places: Sequence[Place], measures: NDArray[np.float64],
+                   of: Features = FEATURES) -> None:
     """The episodes table: what lerobot asks for, statistics (episodes, MEASURES, values), then our own columns."""
     count = len(rows)
     columns: dict[str, Any] = {
@@ -123,7 +125,7 @@ def write_episodes(path: Path, rows: Sequence[Row], places: Sequence[Place], mea
         "dataset_to_index": _integers(p.stop for p in places),
     }
     first = 0
-    for name, width in widths().items():
+    for name, width in widths(of).items():
         for k, measure in enumerate(MEASURES):
             columns[f"stats/{name}/{measure}"] = lists(scalars(measures[:, k, first:first + width].reshape(-1)), width)
         columns[f"stats/{name}/count"] = lists(columns["length"], 1)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pipeline.arrow import pa, read_parquet, to_rows
 from pipeline.frames import FEATURES
+from pipeline.lerobot_view.agreement import features_in, refuse_others
 from pipeline.lerobot_view.layout import EPISODES, INTERVENTION, data_file
 from pipeline.lerobot_view.manifest import load_version
 
@@ -62,9 +63,10 @@ class TrainingData:
         """Read a version folder without lerobot or torch.
 
         Raises:
-            DatasetError: the folder is no version, or was changed after it was built.
+            DatasetError: the folder is no version, was changed after it was built, or is of another robot.
         """
         weights = load_version(folder).weights
+        refuse_others(features_in(folder), FEATURES, robot="arm", where=folder)
         episodes = read_parquet(folder / EPISODES, ["dataset_from_index", "dataset_to_index", "split", "group"])
         starts, stops = (to_rows(episodes.column(n), 1)[:, 0] for n in ("dataset_from_index", "dataset_to_index"))
         state, environment, action, intervention = _read(folder)

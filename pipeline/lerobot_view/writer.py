@@ -11,22 +11,23 @@ import numpy as np
 
 from pipeline.errors import DatasetError
 from pipeline.files import sha256_file, sync_folder
-from pipeline.frames import Frames
+from pipeline.frames import FEATURES, Features, Table
 from pipeline.lerobot_view import layout
+from pipeline.lerobot_view.agreement import refuse_others
 from pipeline.lerobot_view.exact import as_matrix, by_feature, measure
 from pipeline.lerobot_view.sharing import shared_with
 from pipeline.lerobot_view.tables import Columns, Place, Row, frame_columns, write_episodes, write_frames, write_tasks
 from pipeline.shards import check_frames
 from schemas.episode import Episode
 
-type FramesOf = Callable[[Episode], Frames]
+type FramesOf = Callable[[Episode], Table]
 
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
 
 
 def write_version(target: Path, rows: Sequence[Row], frames_of: FramesOf, manifest: Mapping[str, object], *,
-                  aside: Path, fps: int, robot: str, parent: Path | None = None) -> None:
+                  aside: Path, fps: int, robot: str, parent: Path | None = None, of: Features = FEATURES) -> None:
     """Write one LeRobot v3.0 folder that never changes again.
 
     Whoever looks at `target` sees nothing or all of it: the folder is built elsewhere, every file is
@@ -40,7 +41,8 @@ def write_version(target: Path, rows: Sequence[Row], frames_of: FramesOf, manife
         manifest: what meta/hardcase.json says besides the digests of the other files.
         fps: rate of the control clock [Hz].
         robot: name of the robot.
-        parent: folder of a version whose data files may be shared.
+        parent: folder of a version whose data files may be shared; it has the same features.
+        of: the features of the robot, which every episode must have.
 
     Raises:
         RecordingError, DatasetError: frames that cannot be trained on; the error names the episode.
@@ -52,7 +54,7 @@ def write_version(target: Path, rows: Sequence[Row], frames_of: FramesOf, manife
             shutil.rmtree(building)
         building.mkdir(parents=True)
         target.parent.mkdir(parents=True, exist_ok=True)
-        _fill(building, rows, frames_of, fps=fps, robot=robot, parent=parent)
+        _fill(building, rows, frames_of, of, fps=fps, robot=robot, parent=parent)
         _write_manifest(building, manifest)
         _seal(building)
         building.rename(target)
@@ -65,8 +67,9 @@ def write_version(target: Path, rows: Sequence[Row], frames_of: FramesOf, manife
         raise
 
 
-def _fill(folder: Path, rows: Sequence[Row], frames_of: FramesOf, *, fps: int, robot: str, parent: Path | None) -> None:
-    shared = shared_with(parent, rows)
+def _fill(folder: Path, rows: Sequence[Row], frames_of: FramesOf, of: Features, *, fps: int, robot: str,
+          parent: Path | None) -> None:
+    shared = shared_with(parent, rows, of)
     if parent is not None:
         for file in shared.files:
             link(parent / file, folder / file)
@@ -74,25 +77,26 @@ def _fill(folder: Path, rows: Sequence[Row], frames_of: FramesOf, *, fps: int, r
     places, columns, measures = list(shared.places), shared.columns, [shared.measures]
     new = rows[len(places):]
     if new:
-        frames = [_checked(frames_of(row.episode), row.episode) for row in new]
+        frames = [_checked(frames_of(row.episode), row.episode, of) for row in new]
         fresh = frame_columns(new, frames, tasks, fps=fps, first_episode=len(places),
                               first_frame=places[-1].stop if places else 0)
-        added = _write_files(folder, fresh, [len(f) for f in frames], places)
+        added = _write_files(folder, fresh, [len(f) for f in frames], places, layout.frame_bytes(of))
         matrix, first = as_matrix(fresh), added[0].start
         measures.append(np.stack([measure(matrix[:, p.start - first:p.stop - first]) for p in added]))
         columns = {name: np.concatenate([columns[name], fresh[name]]) if places else fresh[name] for name in fresh}
         places += added
     total = places[-1].stop
     write_tasks(folder / layout.TASKS, tasks)
-    write_episodes(folder / layout.EPISODES, rows, places, np.concatenate(measures))
-    _write_json(folder / layout.STATS, by_feature(measure(as_matrix(columns)), total))
+    write_episodes(folder / layout.EPISODES, rows, places, np.concatenate(measures), of)
+    _write_json(folder / layout.STATS, by_feature(measure(as_matrix(columns)), total, of))
     _write_json(folder / layout.INFO, layout.info(robot=robot, fps=fps, episodes=len(rows), frames=total,
-                                                  tasks=len(tasks)))
+                                                  tasks=len(tasks), of=of))
 
 
-def _write_files(folder: Path, columns: Columns, lengths: Sequence[int], before: Sequence[Place]) -> list[Place]:
+def _write_files(folder: Path, columns: Columns, lengths: Sequence[int], before: Sequence[Place],
+                 frame_bytes: int) -> list[Place]:
     """Write new data files of at most DATA_FILE_MB; a parent's file is never added to."""
-    limit = layout.DATA_FILE_MB * 2**20 // layout.frame_bytes()
+    limit = layout.DATA_FILE_MB * 2**20 // frame_bytes
     file, start = (before[-1].file + 1, before[-1].stop) if before else (0, 0)
     origin, places, groups = start, list[Place](), list[list[int]]([[]])
     for length in lengths:
@@ -108,7 +112,8 @@ def _write_files(folder: Path, columns: Columns, lengths: Sequence[int], before:
     return places
 
 
-def _checked(frames: Frames, episode: Episode) -> Frames:
+def _checked(frames: Table, episode: Episode, of: Features) -> Table:
+    refuse_others(frames.names, of, robot=episode.scene.robot, where=f"episode {episode.id}")
     check_frames(frames, f"episode {episode.id}")
     if len(frames) != episode.frames:
         raise DatasetError(f"{len(frames)} frames were read, the episode has {episode.frames}",
