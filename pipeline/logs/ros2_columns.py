@@ -1,0 +1,195 @@
+"""The columns of messages that are laid out alike, and parts of a batch put together."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.logs.fields import Fields, Numbers, header, stack
+from pipeline.logs.ros2_layout import SLACK, Kind, Layout, Leaf
+
+if TYPE_CHECKING:
+    from pipeline.logs.batch import Batch
+
+_NS = 1_000_000_000
+
+type Rows = NDArray[np.intp]
+type Texts = dict[int, list[tuple[str, ...]]]
+"""Leaf -> its texts in each message."""
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Some messages of a batch, all laid out alike."""
+
+    rows: Rows
+    values: dict[str, Numbers] = field(default_factory=dict[str, Numbers])
+    texts: dict[str, list[str]] = field(default_factory=dict[str, list[str]])
+    names: dict[str, list[tuple[str, ...]]] = field(default_factory=dict[str, list[tuple[str, ...]]])
+    blobs: dict[str, list[memoryview]] = field(default_factory=dict[str, list[memoryview]])
+
+
+class Block:
+    """Messages of a batch that share a layout; only what is asked for is gathered."""
+
+    def __init__(self, layout: Layout, batch: "Batch", rows: Rows) -> None:
+        self.layout, self.batch, self.rows = layout, batch, rows
+        self._head = self._gather(0, len(layout.head))
+
+    def _gather(self, low: int, high: int) -> NDArray[np.uint8]:
+        if high <= low or not self.rows.size:
+            return np.zeros((self.rows.size, max(high - low, 0)), np.uint8)
+        windows = np.lib.stride_tricks.sliding_window_view(np.frombuffer(self.batch.data, np.uint8), high - low)
+        return windows[self.batch.starts[self.rows] + low]
+
+    def span(self, low: int, high: int) -> NDArray[np.uint8]:
+        """Bytes [low, high) of every message, shape (m, high - low)."""
+        return self._head[:, low:high] if high <= self._head.shape[1] else self._gather(low, high)
+
+    def keep(self, mask: NDArray[np.bool_]) -> "Block":
+        """The block of those messages only."""
+        return self if mask.all() else Block(self.layout, self.batch, self.rows[mask])
+
+    def alike(self) -> NDArray[np.bool_]:
+        """Which messages have the layout's byte order and counts."""
+        layout, sizes = self.layout, self.batch.sizes[self.rows]
+        expected = np.frombuffer(layout.head, np.uint8)[layout.signs]
+        fits = (self._head[:, layout.signs] == expected).all(axis=1)
+        for at, count in layout.lengths:
+            if at >= len(layout.head):
+                fits &= (self.span(at, at + 4) == np.frombuffer(count, np.uint8)).all(axis=1)
+        if layout.tail >= 0:
+            at, _ = layout.runs[layout.tail][0]
+            end = at + self._tail_sizes()
+            fits &= (end <= sizes) & (sizes <= end + SLACK)
+        return fits
+
+    def _tail_sizes(self) -> NDArray[np.int64]:
+        at, _ = self.layout.runs[self.layout.tail][0]
+        order = ">u4" if self.layout.big else "<u4"
+        return np.ascontiguousarray(self.span(at - 4, at)).view(order)[:, 0].astype(np.int64)
+
+    def texts(self) -> tuple[Texts, list[tuple[int, str]]]:
+        """The texts of every message, and (place in the block, reason) of those whose texts cannot be read."""
+        layout = self.layout
+        same = bool((self._head[:, layout.letters] == np.frombuffer(layout.head, np.uint8)[layout.letters]).all())
+        found: Texts = {}
+        wrong: dict[int, str] = {}
+        for k, (leaf, runs) in enumerate(zip(layout.plan.leaves, layout.runs, strict=True)):
+            if leaf.kind not in ("text", "wide"):
+                continue
+            once = same and k != layout.tail and all(at + size <= len(layout.head) for at, size in runs)
+            count = min(1, self.rows.size) if once else self.rows.size
+            lines: list[tuple[str, ...]] = []
+            for row, pieces in enumerate(self._pieces(k, runs, count)):
+                try:
+                    lines.append(tuple([self._text(leaf.kind, piece) for piece in pieces]))
+                except ValueError as error:
+                    lines.append(("",) * len(runs))
+                    wrong.update(dict.fromkeys(range(self.rows.size) if once else (row,), f"{leaf.path}: {error}"))
+            found[k] = lines * self.rows.size if once else lines
+        return found, sorted(wrong.items())
+
+    def _pieces(self, leaf: int, runs: Sequence[tuple[int, int]], count: int) -> Iterable[tuple[bytes, ...]]:
+        """The bytes of the texts of one leaf in each of the first `count` messages."""
+        if leaf == self.layout.tail:
+            return [(bytes(piece),) for piece in self._views(leaf)]
+        columns = [[piece.tobytes() for piece in self.span(at, at + size)[:count]] for at, size in runs]
+        return zip(*columns, strict=True) if columns else [()] * count
+
+    def _text(self, kind: Kind, data: bytes) -> str:
+        order = "be" if self.layout.big else "le"
+        if kind == "wide":
+            return data.decode(f"utf-{8 * self.layout.wide}-{order}")
+        if data and data[-1]:
+            raise ValueError("a text has no closing zero byte")
+        return data[:-1].decode()
+
+    def _views(self, leaf: int) -> list[memoryview]:
+        """The bytes of a leaf in each message, its runs joined."""
+        data, starts = memoryview(self.batch.data), self.batch.starts[self.rows].tolist()
+        runs = self.layout.runs[leaf]
+        if leaf == self.layout.tail:
+            at = runs[0][0]
+            return [data[s + at : s + at + size] for s, size in zip(starts, self._tail_sizes().tolist(), strict=True)]
+        if len(runs) == 1:
+            at, size = runs[0]
+            return [data[s + at : s + at + size] for s in starts]
+        return [memoryview(b"".join(data[s + at : s + at + size] for at, size in runs)) for s in starts]
+
+    def _numbers(self, leaf: Leaf, runs: Sequence[tuple[int, int]]) -> Numbers:
+        """The numbers of a leaf, shape (m,) or (m, k), in the machine's byte order."""
+        runs = [run for run in runs if run[1]]
+        width = 4 if leaf.kind == "time" else 1 if leaf.dtype == "?" else int(leaf.dtype[1])
+        if not runs:
+            data = np.zeros((self.rows.size, 0), np.uint8)
+        elif len(runs) == 1:
+            data = self.span(runs[0][0], sum(runs[0]))
+        else:
+            low, high = runs[0][0], sum(runs[-1])
+            places = np.concatenate([np.arange(at - low, at - low + size) for at, size in runs])
+            data = self.span(low, high)[:, places]
+        order = ">" if self.layout.big else "<"
+        if leaf.kind == "time":
+            pairs = _view(data, f"{order}u4", width)
+            seconds = pairs[:, 0::2].astype(np.int32).astype(np.int64)
+            column: NDArray[Any] = seconds * _NS + pairs[:, 1::2]
+        elif leaf.dtype == "?":
+            column = data != 0
+        else:
+            column = _view(data, order + leaf.dtype, width)
+            column = column.astype(column.dtype.newbyteorder("="), copy=False)
+        return column if leaf.many else np.ascontiguousarray(column[:, 0])
+
+    def part(self, texts: Texts) -> Part:
+        """All columns; `texts` are those of this block."""
+        part = Part(self.rows)
+        for k, (leaf, runs) in enumerate(zip(self.layout.plan.leaves, self.layout.runs, strict=True)):
+            if leaf.kind in ("text", "wide"):
+                if leaf.many:
+                    part.names[leaf.path] = texts[k]
+                else:
+                    part.texts[leaf.path] = [line[0] for line in texts[k]]
+            elif leaf.kind == "blob":
+                part.blobs[leaf.path] = self._views(k)
+            elif leaf.kind != "skip":
+                part.values[leaf.path] = self._numbers(leaf, runs)
+        return part
+
+
+def _view(data: NDArray[np.uint8], dtype: str, width: int) -> Numbers:
+    return np.ascontiguousarray(data).reshape(-1).view(dtype).reshape(len(data), data.shape[1] // width)
+
+
+def merge(parts: list[Part], bad: list[tuple[int, str]]) -> Fields:
+    """The parts of one batch as one, its messages in order again."""
+    bad = sorted(bad)
+    if len(parts) == 1:
+        (part,) = parts
+        return Fields(part.rows, tuple(bad), part.values, {}, part.texts, part.names, part.blobs, header(part.values))
+    if not parts:
+        return Fields(np.zeros(0, np.intp), tuple(bad))
+    rows = np.concatenate([part.rows for part in parts])
+    order = np.argsort(rows)
+    places: list[int] = order.tolist()
+    fields = Fields(rows[order], tuple(bad))
+    for path, column in parts[0].values.items():
+        pieces = [part.values[path] for part in parts]
+        if column.ndim == 1 or len({piece.shape[1] for piece in pieces}) == 1:
+            fields.values[path] = np.concatenate(pieces)[order]
+        else:
+            flat = [row for piece in pieces for row in piece]
+            stack(path, [flat[k] for k in places], fields)
+    for path in parts[0].texts:
+        texts = [text for part in parts for text in part.texts[path]]
+        fields.texts[path] = [texts[k] for k in places]
+    for path in parts[0].names:
+        names = [line for part in parts for line in part.names[path]]
+        fields.names[path] = [names[k] for k in places]
+    for path in parts[0].blobs:
+        blobs = [blob for part in parts for blob in part.blobs[path]]
+        fields.blobs[path] = [blobs[k] for k in places]
+    return Fields(fields.rows, fields.bad, fields.values, fields.ragged, fields.texts, fields.names, fields.blobs,
+                  header(fields.values))

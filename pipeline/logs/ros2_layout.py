@@ -1,0 +1,233 @@
+"""Where the fields of a ROS 2 message lie: a type compiled to steps, and a walk over one payload.
+
+Messages whose texts and sequences are as long have every field at the same place: one walk serves them all.
+
+Source: OMG DDSI-RTPS 2.3, 10.2 (encapsulation); CORBA 3.3 part 2, 9.3 (alignment counts from the byte after the
+encapsulation; an empty sequence takes no padding; a text's length counts its closing zero byte).
+"""
+
+import struct
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import RecordingError
+from pipeline.logs.ros2_types import PRIMITIVES, TEXTS, TIMES, Count, Types
+
+START = 4
+"""Bytes of the encapsulation header."""
+SLACK = 3
+"""Bytes that may follow the last field: DDS pads payloads to 4."""
+MAX_LEAVES = 4096
+"""Fields of one type, nested ones counted: far above any robot's."""
+MAX_RUNS = 250_000
+"""Separate runs of one message: a particle cloud of 35,000 poses."""
+_ENCAPSULATIONS = {0: "CDR", 1: "CDR", 2: "PL_CDR", 3: "PL_CDR", 6: "CDR2", 7: "CDR2", 8: "D_CDR2", 9: "D_CDR2",
+                   10: "PL_CDR2", 11: "PL_CDR2"}
+
+type Kind = Literal["number", "time", "text", "wide", "blob", "skip"]
+
+
+@dataclass(frozen=True, slots=True)
+class Leaf:
+    """A field that holds values, not other fields."""
+
+    path: str
+    kind: Kind
+    dtype: str
+    """numpy's name of one number without byte order."""
+    many: bool
+    """In a sequence or array, or below one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One member of a type: a leaf by its number, or the steps of another type; `count` times."""
+
+    leaf: int
+    """-1 where the member is of another message type."""
+    inner: "tuple[Step, ...]"
+    count: Count
+    least: int
+    """Bytes that one element takes at least."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A message type, ready to be walked."""
+
+    leaves: tuple[Leaf, ...]
+    steps: tuple[Step, ...]
+
+
+def compile_type(name: str, types: Types, where: object) -> Plan:
+    """Compile a type and all that it holds.
+
+    Raises:
+        RecordingError: a type holds itself, or more than MAX_LEAVES fields.
+    """
+    leaves: list[Leaf] = []
+
+    def step(path: str, kind: str, count: Count, many: bool, above: tuple[str, ...]) -> Step:
+        many = many or count != "one"
+        if kind not in PRIMITIVES and kind not in TEXTS and kind not in TIMES:
+            inner = inside(kind, f"{path}.", many, above)
+            return Step(-1, inner, count, sum(_least(s) for s in inner))
+        if len(leaves) >= MAX_LEAVES:
+            raise RecordingError(f"{name} has more than {MAX_LEAVES} fields", where=where,
+                                 mend="leave the topic out of the map")
+        dtype = PRIMITIVES.get(kind, "u1")
+        what: Kind = ("time" if kind in TIMES else "text" if kind == "string" else "wide" if kind == "wstring"
+                      else "blob" if count == "many" and kind in ("uint8", "byte", "char") else "number")
+        leaves.append(Leaf(path, what, "?" if kind == "bool" else dtype, many))
+        return Step(len(leaves) - 1, (), count, {"number": int(dtype[1]), "blob": 1, "time": 8}.get(what, 4))
+
+    def inside(kind: str, prefix: str, many: bool, above: tuple[str, ...]) -> tuple[Step, ...]:
+        if kind in above:
+            raise RecordingError(f"{kind} holds itself", where=where, mend="leave the topic out of the map")
+        if not types[kind]:  # ROS 2 gives an empty type one byte, since IDL wants a member
+            leaves.append(Leaf(prefix, "skip", "u1", many))
+            return (Step(len(leaves) - 1, (), "one", 1),)
+        return tuple(step(prefix + m.name, m.kind, m.count, many, (*above, kind)) for m in types[kind])
+
+    steps = inside(name, "", False, ())
+    return Plan(tuple(leaves), steps)
+
+
+def _least(step: Step) -> int:
+    """Bytes that a member takes at least; a sequence may be only its count."""
+    return 4 if step.count == "many" else step.least * (1 if step.count == "one" else step.count)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the fields of one payload lie, and which bytes another payload must share to be laid out so too."""
+
+    plan: Plan
+    big: bool
+    """Big endian."""
+    wide: int
+    """Bytes of one wchar."""
+    runs: tuple[tuple[tuple[int, int], ...], ...]
+    """Leaf -> (offset, bytes) of its runs."""
+    lengths: tuple[tuple[int, bytes], ...]
+    """(offset, bytes) of the counts of texts and sequences; that of the tail is not among them."""
+    end: int
+    """Where the last field ends."""
+    head: bytes
+    """The payload that was walked, up to the first blob or the tail: what is gathered at once."""
+    tail: int
+    """The leaf that ends the message and may be longer or shorter in the next, -1 for none."""
+
+    @cached_property
+    def signs(self) -> NDArray[np.intp]:
+        """Offsets in `head` of what must be equal: byte order and counts."""
+        places = [at + k for at, _ in self.lengths if at < len(self.head) for k in range(4)]
+        return np.array([0, 1, *places], np.intp)
+
+    @cached_property
+    def letters(self) -> NDArray[np.intp]:
+        """Offsets in `head` of the bytes of texts."""
+        places = [np.arange(at, at + size) for leaf, runs in zip(self.plan.leaves, self.runs, strict=True)
+                  if leaf.kind in ("text", "wide") for at, size in runs if at + size <= len(self.head)]
+        return np.concatenate([np.zeros(0, np.intp), *places]).astype(np.intp)
+
+
+class Walk:
+    """Reads one payload from its start to its end and notes where everything is; ValueError where it does not fit."""
+
+    def __init__(self, plan: Plan, payload: bytes, wide: int = 4) -> None:
+        kind = int.from_bytes(payload[:2], "big") if len(payload) >= START else -1
+        if kind not in (0, 1):
+            name = _ENCAPSULATIONS.get(kind, "no CDR")
+            raise ValueError(f"payload starts with {payload[:4].hex() or 'nothing'} ({name}), only plain CDR is read")
+        self._plan, self._payload, self._wide, self._big = plan, payload, wide, kind == 0
+        self._count = struct.Struct(">I" if self._big else "<I").unpack_from
+        self._at, self._left, self._size = START, MAX_RUNS, len(payload)
+        self._runs: list[list[tuple[int, int]]] = [[] for _ in plan.leaves]
+        self._lengths: list[int] = []
+        self._last = -1
+
+    def layout(self) -> Layout:
+        """Walk all steps; the payload must end where they end."""
+        self._steps(self._plan.steps)
+        if not 0 <= self._size - self._at <= SLACK:
+            raise ValueError(f"{self._size - self._at} B are left after the last field, which ends at byte {self._at}")
+        tail = self._tail()
+        stops = [at for k, (leaf, runs) in enumerate(zip(self._plan.leaves, self._runs, strict=True))
+                 if leaf.kind == "blob" or k == tail for at, _ in runs]
+        head = min([self._at, *stops])
+        lengths = self._lengths[:-1] if tail >= 0 else self._lengths
+        return Layout(self._plan, self._big, self._wide, tuple(map(tuple, self._runs)),
+                      tuple((at, self._payload[at : at + 4]) for at in lengths), self._at, self._payload[:head], tail)
+
+    def _tail(self) -> int:
+        """The last leaf, if it is one text or blob that nothing follows."""
+        if self._last < 0 or self._plan.leaves[self._last].kind not in ("text", "blob"):
+            return -1
+        runs = self._runs[self._last]
+        alone = len(runs) == 1 and sum(runs[0]) == self._at and self._lengths[-1] == runs[0][0] - 4
+        return self._last if alone else -1
+
+    def _align(self, size: int) -> int:
+        self._at += -(self._at - START) % size
+        return self._at
+
+    def _length(self, least: int) -> int:
+        """A count, which the rest of the payload must have room for."""
+        at = self._align(4)
+        if at + 4 > self._size:
+            raise ValueError(f"a count at byte {at} is cut off, the payload has {self._size} B")
+        (count,) = self._count(self._payload, at)
+        self._at = at + 4
+        self._room(count, least)
+        self._lengths.append(at)
+        return count
+
+    def _room(self, count: int, least: int) -> None:
+        if count * least > self._size - self._at:
+            raise ValueError(f"{count} elements at byte {self._at} do not fit in a payload of {self._size} B")
+
+    def _steps(self, steps: tuple[Step, ...]) -> None:
+        for step in steps:
+            count = self._length(step.least) if step.count == "many" else 1 if step.count == "one" else step.count
+            self._room(count, step.least)
+            if step.leaf < 0:
+                for _ in range(count):
+                    self._steps(step.inner)
+            elif self._plan.leaves[step.leaf].kind in ("text", "wide"):
+                for _ in range(count):
+                    self._text(step.leaf)
+            else:
+                self._numbers(step.leaf, count)
+
+    def _text(self, leaf: int) -> None:
+        wide = self._plan.leaves[leaf].kind == "wide"
+        size = self._length(self._wide if wide else 1) * (self._wide if wide else 1)
+        if not wide and size and self._payload[self._at + size - 1]:
+            raise ValueError(f"the text at byte {self._at} has no closing zero byte")
+        self._run(leaf, size)
+
+    def _numbers(self, leaf: int, count: int) -> None:
+        kind = self._plan.leaves[leaf]
+        size = 8 if kind.kind == "time" else 1 if kind.dtype == "?" else int(kind.dtype[1])
+        if count:
+            self._align(4 if kind.kind == "time" else size)
+        self._run(leaf, count * size)
+
+    def _run(self, leaf: int, size: int) -> None:
+        self._left -= 1
+        if self._left < 0:
+            raise ValueError(f"more than {MAX_RUNS} separate fields")
+        if self._at + size > self._size:
+            raise ValueError(f"field of {size} B at byte {self._at} of a payload of {self._size} B")
+        runs = self._runs[leaf]
+        if runs and sum(runs[-1]) == self._at and self._plan.leaves[leaf].kind in ("number", "time", "blob"):
+            runs[-1] = (runs[-1][0], runs[-1][1] + size)
+        else:
+            runs.append((self._at, size))
+        self._at += size
+        self._last = leaf
