@@ -19,7 +19,7 @@ from stages.train import train
 
 def collected(run: ArmRun) -> Made:
     """Demonstrations of the scripted expert."""
-    recorded = collect(run.recipe, seed=run.seed, folder=run.folder(), software=facts.software())
+    recorded = collect(run.recipe, seed=run.seed, folder=run.folder(), software=facts.software("collect"))
     good = sum(r.episode.outcome.label == "success" for r in recorded)
     return run.recorded(recorded, f"{good} of {len(recorded)} demonstrations succeeded", {})
 

@@ -51,7 +51,7 @@ def deployed(run: ArmRun, generation: int) -> Made:
     champion = run.champion(generation)
     rider = run.material.rider(champion) if run.recipe.deploy.shadow else None
     done = deploy(run.policy(champion), champion, run.recipe, seed=run.seed, twin=run.twin, generation=generation,
-                  folder=run.folder(), software=facts.software(),
+                  folder=run.folder(), software=facts.software("deploy"),
                   rider=Rider(rider, run.policy(rider)) if rider else None)
     numbers: dict[str, JsonValue] = {
         "robot_s": done.robot_s, "truth": "".join("01"[int(t)] for t in done.truth),
@@ -70,7 +70,7 @@ def harvested(run: ArmRun, generation: int, progress: Progress) -> Made:
         return _at_random_starts(run, generation, same_seconds=new == "random-seconds")
     attempts = run.material.failed_attempts(generation)
     done = harvest(attempts, run.recipe, twin=run.twin, generation=generation, folder=run.folder(),
-                   software=facts.software(), arm=run.name, progress=progress,
+                   software=facts.software("harvest"), arm=run.name, progress=progress,
                    record_corrections=new == "corrections")
     return _corrected(run, done) if new == "corrections" else _at_failed_starts(run, generation, attempts, done)
 
@@ -107,7 +107,7 @@ def _demonstrated(run: ArmRun, generation: int, starts: Sequence[SceneSpec], bud
     recorded: list[Recorded] = []
     if starts:
         recorded = _within(demonstrate(starts, run.recipe, twin=run.twin, generation=generation, folder=run.folder(),
-                                       software=facts.software()), budget_s)
+                                       software=facts.software("harvest")), budget_s)
     seconds = sum(r.episode.duration_s for r in recorded)
     return run.recorded(recorded, f"{len(recorded)} demonstrations, {seconds:.0f} s",
                         {"robot_s": seconds, "asked": len(recorded), "cases": []})

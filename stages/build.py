@@ -162,7 +162,7 @@ def _rows(chosen: Sequence[Episode], everything: Sequence[Episode], recipe: Reci
           decided: split.Decided) -> tuple[list[Row], frozenset[str], dict[str, float]]:
     every = split.lineages(everything)
     roots = {e.id: every[e.id] for e in chosen}
-    held = split.held_out(roots, recipe.dataset.held_out, decided)
+    held = split.held_out(roots, recipe.dataset.held_out, decided, split.starts(everything))
     train = [e for e in chosen if roots[e.id] not in held]
     group = split.groups(chosen, {e.id: e for e in everything})
     weights = split.shares(recipe.dataset.weights, {group[e.id] for e in train})

@@ -3,12 +3,16 @@
 import hashlib
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from pipeline.errors import ConfigError, DatasetError
 from pipeline.lerobot_view.tables import taught
 from schemas.episode import Episode
 
 GROUPS = ("base", "corrections")
+
+DRAWN = 1 << 59
+"""Seeds of pipeline.simulation.tasks.scene_seed are not below this; smaller ones were not drawn for one start."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,35 +45,48 @@ def lineages(episodes: Iterable[Episode]) -> dict[str, str]:
     return roots
 
 
-def held_out(roots: Mapping[str, str], share: float, decided: Decided) -> frozenset[str]:
+def starts(episodes: Iterable[Episode]) -> dict[str, str]:
+    """Episode id -> its start by seed family and seed, for the episodes whose seed was drawn.
+
+    An id of an episode may follow from the policy that acted, and so from code and versions; where the
+    attempt began does not. A seed that nobody drew (a robot's log has none) says nothing and is left out.
+    """
+    return {e.id: f"{e.scene.family} {e.scene.seed}" for e in episodes if e.scene.seed >= DRAWN}
+
+
+def held_out(roots: Mapping[str, str], share: float, decided: Decided,
+             start: Mapping[str, str] = MappingProxyType({})) -> frozenset[str]:
     """The lineages of the validation split.
 
-    What an earlier version decided stands; where it held out one of two lineages that turn out to be
-    one, all of it is held out. Any other lineage is held out if its hash falls into `share`, which no
-    other episode, order or generation can change. Both sides get at least one lineage where there are two.
+    Lineages that begin at the same start are on the same side. What an earlier version decided stands;
+    where it held out one of what turns out to belong together, all of it is held out. Anything else is
+    held out if the hash of its start falls into `share`, which no other episode, order or generation, and
+    no code, can change; the lineage's id stands in where no start is known. Both sides get at least one
+    start where there are two.
 
     Args:
         roots: episode id -> lineage, of the episodes of the version.
-        share: expected share of lineages that are held out, 0 to 0.5.
+        share: expected share of starts that are held out, 0 to 0.5.
         decided: what the parent version knows.
+        start: episode id -> start, of the roots that are known.
 
     Raises:
         DatasetError: nothing is left to train on.
     """
     members: dict[str, set[str]] = {}
     for episode, root in roots.items():
-        members.setdefault(root, {root}).add(episode)
-    held = {root for root, ids in members.items() if ids & decided.held_out}
-    open_roots = sorted((r for r, ids in members.items() if not ids & (decided.held_out | decided.train)), key=_place)
-    held |= {root for root in open_roots if _place(root) < share}
-    if share > 0 and not held and open_roots and len(members) > 1:
-        held = {open_roots[0]}
-    if len(held) == len(members) and open_roots:
-        held.remove(open_roots[-1])
+        members.setdefault(start.get(root, root), set()).update((episode, root))
+    held = {unit for unit, ids in members.items() if ids & decided.held_out}
+    undecided = sorted((u for u, ids in members.items() if not ids & (decided.held_out | decided.train)), key=_place)
+    held |= {unit for unit in undecided if _place(unit) < share}
+    if share > 0 and not held and undecided and len(members) > 1:
+        held = {undecided[0]}
+    if len(held) == len(members) and undecided:
+        held.remove(undecided[-1])
     if len(held) == len(members):
         raise DatasetError("every lineage of this version is held out", where=f"{len(roots)} episodes",
                            mend="add demonstrations, or start a version without a parent")
-    return frozenset(held)
+    return frozenset(root for root in roots.values() if start.get(root, root) in held)
 
 
 def groups(episodes: Iterable[Episode], known: Mapping[str, Episode]) -> dict[str, str]:
@@ -115,6 +132,6 @@ def chances(episodes: Sequence[Episode], group: Mapping[str, str], share: Mappin
     return {e.id: share[group[e.id]] * taught(e) / frames[group[e.id]] for e in episodes}
 
 
-def _place(lineage: str) -> float:
-    """A lineage's place in [0, 1), by hash."""
-    return int.from_bytes(hashlib.sha256(b"held out\0" + lineage.encode()).digest()[:6]) / 2**48
+def _place(unit: str) -> float:
+    """The place in [0, 1) of a start, or of a lineage without one, by hash."""
+    return int.from_bytes(hashlib.sha256(b"held out\0" + unit.encode()).digest()[:6]) / 2**48

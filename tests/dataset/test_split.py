@@ -7,7 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.errors import DatasetError
-from pipeline.lerobot_view.split import Decided, held_out, lineages
+from pipeline.lerobot_view.split import DRAWN, Decided, held_out, lineages, starts
+from pipeline.simulation.tasks import FAMILY_BASE, scene_seed
 from schemas.episode import Episode, Outcome, Segment
 from schemas.scene import SceneSpec
 
@@ -19,8 +20,9 @@ def name(k: int) -> str:
     return hashlib.sha256(str(k).encode()).hexdigest()[:16]
 
 
-def made(k: int, parent: int | None) -> Episode:
-    return Episode(id=name(k), origin="scripted" if parent is None else "replayed", scene=SCENE, control_hz=20,
+def made(k: int, parent: int | None, seed: int = 1) -> Episode:
+    return Episode(id=name(k), origin="scripted" if parent is None else "replayed", control_hz=20,
+                   scene=SCENE.model_copy(update={"seed": seed}),
                    frames=3, outcome=Outcome(label="success", judged_by="simulator"), generation=0, blob="0" * 64,
                    segments=(Segment(kind="demonstration", start=0, stop=3, actor="expert"),),
                    parent=None if parent is None else name(parent))
@@ -39,7 +41,7 @@ def families(draw):
 def split(everything, kept, share, decided=None):
     every = lineages(everything)
     roots = {e.id: every[e.id] for e in kept}
-    held = held_out(roots, share, decided or Decided())
+    held = held_out(roots, share, decided or Decided(), starts(everything))
     return {e for e, root in roots.items() if root in held}, roots
 
 
@@ -101,3 +103,45 @@ def test_nothing_left_to_train_on_is_refused():
 def test_a_circle_of_parents_is_refused():
     with pytest.raises(DatasetError, match=r"its own ancestor\n.*\n  mend: drop"):
         lineages([made(1, 2), made(2, 1)])
+
+
+def begun(code, demos=60):
+    """Demonstrations at drawn starts and a variant of each; their ids follow from `code` as well."""
+    first = [made(10_000 * code + k, None, scene_seed("demo", 0, k)) for k in range(demos)]
+    return first, [made(10_000 * code + 5_000 + k, 10_000 * code + k, 2) for k in range(demos)]
+
+
+def test_a_start_stays_on_its_side_when_code_gives_its_episodes_other_ids():
+    sides = []
+    for code in (1, 2):
+        first, variants = begun(code)
+        held, _ = split([*first, *variants], [*first, *variants], 0.2)
+        sides.append([(e.id in held, v.id in held) for e, v in zip(first, variants, strict=True)])
+    assert sides[0] == sides[1]
+    assert {demo == variant for demo, variant in sides[0]} == {True}
+    assert 3 < sum(demo for demo, _ in sides[0]) < 25
+
+
+def test_two_attempts_at_one_start_are_on_one_side():
+    first, second = begun(1), begun(2)
+    everything = [*first[0], *second[0]]
+    held, _ = split(everything, everything, 0.2)
+    assert [e.id in held for e in first[0]] == [e.id in held for e in second[0]]
+    only = [first[0][0], second[0][0], first[0][1]]  # two starts: one of them is held out whole, the other taught
+    held, _ = split(only, only, 0.01)
+    assert len({only[0].id in held, only[1].id in held}) == 1
+    assert 0 < len(held) < 3
+
+
+def test_a_later_attempt_at_a_decided_start_joins_its_side():
+    first, second = begun(1)[0], begun(2)[0]
+    decided = Decided(frozenset(e.id for e in first[:30]), frozenset(e.id for e in first[30:]))
+    held, _ = split([*first, *second], [*first, *second], 0.2, decided)
+    assert [e.id in held for e in second] == [True] * 30 + [False] * 30
+
+
+@pytest.mark.parametrize("family", FAMILY_BASE)
+def test_the_split_knows_a_drawn_seed_from_one_that_means_nothing(family):
+    episode = made(1, None, scene_seed(family, 0, 0))
+    assert starts([episode]) == {episode.id: f"demo {episode.scene.seed}"}
+    assert starts([made(1, None, seed) for seed in (0, 1, DRAWN - 1)]) == {}
