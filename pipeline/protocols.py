@@ -1,13 +1,16 @@
-"""What a robot, a policy, a trigger and a recorder must be able to do: the seams of the loop."""
+"""What a robot, a policy, an input device, a trigger and a recorder must be able to do: the seams of the loop."""
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
+    from pipeline.recording.live_rows import Row, TickLayout
     from pipeline.triggers import Senses
+    from schemas.scene import SceneSpec
 
 type Array = NDArray[np.float64]
 type Ids = NDArray[np.intp]
@@ -50,6 +53,102 @@ class Robot(Protocol):
 
     def act(self, action: Array, ids: Ids) -> None:
         """Send actions (len(ids), 5) and let one control period pass."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Signals:
+    """What the columns of a robot's observations and actions are; those of the arm stand in pipeline.frames."""
+
+    state: tuple[str, ...]
+    environment: tuple[str, ...]
+    """Empty where the robot does not perceive what it works on."""
+    action: tuple[str, ...]
+
+
+class LiveRobot(Robot, Protocol):
+    """One robot in time, simulated or on a table, that people drive and that is recorded; its id is 0."""
+
+    name: str
+    signals: Signals
+    judge: Literal["simulator", "sensors", "operator"]
+    """Who says whether an attempt has succeeded: `succeeded` of a robot that a person judges is never true."""
+
+    def connect(self) -> None:
+        """Make it ready to perceive and act; RobotError says what is missing."""
+        ...
+
+    def disconnect(self) -> None:
+        """Let it go; may be called twice."""
+        ...
+
+    def begin(self, scene: "SceneSpec") -> None:
+        """Start an attempt: a simulated robot is put at its start, a real one stays where it is."""
+        ...
+
+    def succeeded(self) -> bool:
+        """Whether the attempt has succeeded, as far as `judge` can tell."""
+        ...
+
+    def row(self) -> "Row | Array":
+        """What a recording keeps of the tick that was observed and acted last."""
+        ...
+
+    def layout(self) -> "TickLayout | None":
+        """How `row` is recorded; None where it is a Row of the reference arm."""
+        ...
+
+    def pictures(self) -> Mapping[str, NDArray[np.uint8]]:
+        """Camera -> what it saw at the last observation, RGB, shape (height, width, 3)."""
+        ...
+
+    def attachments(self) -> Mapping[str, bytes]:
+        """Files that a recording carries: robot.urdf and scene.xml, where there are any."""
+        ...
+
+
+type Call = Literal["take-over", "success", "failure", "unknown", "next", "quit"]
+"""What a person says to the session rather than to the robot."""
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """What a person's input device says at one tick."""
+
+    axes: tuple[float, ...] = ()
+    """Shares of full speed in [-1, 1]: x, y, z, yaw, then spare ones for robots with more joints."""
+    grip: float = 0.0
+    """Share of the gripper's full speed in [-1, 1]: opening above 0, closing below."""
+    targets: Mapping[str, float] = field(default_factory=dict[str, float])
+    """Joint -> where it is to go, in the robot's own unit; empty for a device that gives axes."""
+    calls: frozenset[Call] = frozenset()
+    """What was said to the session since the last reading."""
+    intervening: bool | None = None
+    """Whether the device's own switch for taking over is held; None where it has none."""
+    raw_axes: tuple[float, ...] = ()
+    """The device's analogue values before any mapping, as they go to /teleop/joy."""
+    raw_buttons: tuple[int, ...] = ()
+
+
+class Teleoperator(Protocol):
+    """A person's input device, read once a tick."""
+
+    name: str
+    raw_names: tuple[tuple[str, ...], tuple[str, ...]]
+    """Names of the raw axes and of the raw buttons."""
+    joints: tuple[str, ...]
+    """Joints that it gives targets for; empty for a device that gives axes."""
+
+    def connect(self) -> None:
+        """Open the device; RobotError says what is missing."""
+        ...
+
+    def read(self) -> Command:
+        """What the person does now; never waits. RobotError where the device is gone."""
+        ...
+
+    def disconnect(self) -> None:
+        """Give the device back; may be called twice."""
         ...
 
 

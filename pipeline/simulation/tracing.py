@@ -57,6 +57,10 @@ class Tracer:
         """Keep one more column for the attempts of the tick whose `before` comes next, shape (len(ids), ...)."""
         self._pending[name] = values
 
+    def newest(self) -> dict[str, Array]:
+        """The columns of the tick that was kept last, each (len(ids), ...), for who records while it happens."""
+        return self._rows[-1]
+
     def traces(self) -> list[Trace]:
         """One Trace an attempt, in the order of the world's attempts."""
         order = np.concatenate(self._ids)

@@ -1,0 +1,1 @@
+"""Robots that people drive, and the devices they drive them with."""

@@ -1,0 +1,141 @@
+"""A simulated robot that is driven in time: one attempt of a World, the twin's as well."""
+
+# mujoco is a compiled package without type stubs: a compiled model has no type that a checker knows
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import ConfigError
+from pipeline.frames import ACTION, ENVIRONMENT, STATE
+from pipeline.protocols import Array, Ids, Observation, Signals
+from pipeline.recording.live_rows import Row, TickLayout
+from pipeline.robots.judging import Judge
+from pipeline.robots.limits import Limits
+from pipeline.robots.pace import Pace
+from pipeline.simulation.rendering import FilmCamera
+from pipeline.simulation.tracing import Tracer
+from pipeline.simulation.urdf import robot_urdf
+from pipeline.simulation.world import LIMITS, OPEN_M, World
+from schemas.scene import SceneSpec
+
+ARM = Signals(STATE, ENVIRONMENT, ACTION)
+"""Columns of the reference arm."""
+ARM_LIMITS = Limits(low=np.array([*-LIMITS, 0.0]), high=np.array([*LIMITS, OPEN_M]), step=np.full(5, np.inf))
+"""The largest step of the commanded pose a tick, and what the fingers can do."""
+_ONE = np.arange(1)
+
+
+class SimulatedRobot:
+    """Implements pipeline.protocols.LiveRobot with a World of one attempt.
+
+    A person needs longer than the task's own time: the attempt's clock begins again whenever it has run out, and
+    perception noise and jitter with it.
+
+    Args:
+        world: of one attempt; who made it decides whose physics it has.
+        name: what it is called: arm, or twin-SEED.
+        judged: by the simulator's truth, or by what the robot perceives, as a twin is.
+        speed: simulated seconds a wall second; 0 does not wait.
+        cameras: the scene's cameras to render at every tick.
+        size: width and height of their pictures [px].
+
+    Raises:
+        SimulationError: the scene has no camera of that name, or nothing can render here.
+    """
+
+    signals = ARM
+
+    def __init__(self, world: World, name: str, *, judged: bool, speed: float = 1.0, cameras: tuple[str, ...] = (),
+                 size: tuple[int, int] = (320, 240)) -> None:
+        if world.n != 1:
+            raise ConfigError(f"a world of {world.n} attempts", where=f"robot {name}", mend="give a world of one")
+        self.world, self.name, self.control_hz = world, name, world.control_hz
+        self.judge = "simulator" if judged else "sensors"
+        self._judge, self._pace, self._tracer = Judge(world.task), Pace(world.control_hz, speed=speed), Tracer(world)
+        self._cameras, self._size, self._films = cameras, size, dict[str, FilmCamera]()
+        self._seen, self._views = world.observe(_ONE), dict[str, NDArray[np.uint8]]()
+
+    def connect(self) -> None:
+        """Open the cameras, each with a model of its own GL context."""
+        width, height = self._size
+        for name in self._cameras:
+            self._films[name] = FilmCamera(self.world.setup.model, camera=name, width=width, height=height)
+
+    def disconnect(self) -> None:
+        """Close the cameras."""
+        for film in self._films.values():
+            film.close()
+        self._films.clear()
+
+    def begin(self, scene: SceneSpec) -> None:
+        """Put robot and object at the scene's start."""
+        self.world.restart(_ONE, [scene], self.world.physics)
+        self._tracer = Tracer(self.world)
+        self._judge.reset()
+        self._pace.restart()
+
+    def observe(self, ids: Ids) -> Observation:
+        """What the robot perceives now, its cameras included."""
+        if self.world.command.ticks[0] >= self.world.task.ticks:
+            self.world.restart_clock(_ONE)
+        self._seen = self.world.observe(ids)
+        self._judge.see(self._seen)
+        if self._films:
+            state, _ = self.world.save(_ONE)
+            self._views = {name: film.frames(state)[0] for name, film in self._films.items()}
+        return self._seen
+
+    def act(self, action: Array, ids: Ids) -> None:
+        """Send the action that follows what was observed last, and let one control period pass."""
+        self._tracer.before(ids, self._seen, action, _NoMemory())
+        self.world.act(action, ids)
+        self._tracer.after(ids)
+        self._pace.wait()
+
+    def succeeded(self) -> bool:
+        """By the simulator's truth, or by what the robot perceives."""
+        return bool(self.world.succeeded(_ONE)[0]) if self.judge == "simulator" else self._judge.succeeded()
+
+    def row(self) -> Row:
+        """All that a recording holds of the last tick."""
+        table = {name: values[0] for name, values in self._tracer.newest().items()}
+        rewards = {n.removeprefix("reward/"): float(table.pop(n)) for n in list(table) if n.startswith("reward/")}
+        return Row(links=self._tracer.links, reward=rewards, **table)
+
+    def layout(self) -> TickLayout | None:
+        """Recorded as the reference arm."""
+        return None
+
+    def pictures(self) -> dict[str, NDArray[np.uint8]]:
+        """What the cameras saw at the last observation."""
+        return self._views
+
+    def attachments(self) -> dict[str, bytes]:
+        """Scene and URDF."""
+        setup = self.world.setup
+        return {"scene.xml": setup.xml.encode(), "robot.urdf": robot_urdf(setup.model, setup.body.root, "arm").encode()}
+
+    def pose_of(self, joints: Array) -> Array:
+        """Tool pose x, y, z [m], yaw [rad] at joints [rad], shapes (1, 4) and (1, 6)."""
+        return self.world.kinematics.xyz_yaw(joints)
+
+    @property
+    def late(self) -> int:
+        """Ticks that came late."""
+        return self._pace.late
+
+
+class _NoMemory:
+    """Stands where a tracer asks for a policy's memory: the session adds that of the policy that acts."""
+
+    def reset(self, n: int) -> None:
+        """Nothing to forget."""
+
+    def act(self, observation: Observation, ids: Ids) -> Array:
+        """Nobody acts."""
+        return np.zeros((len(ids), len(ACTION)))
+
+    def memory(self, ids: Ids) -> Array:
+        """No columns."""
+        return np.zeros((len(ids), 0))
