@@ -90,6 +90,10 @@ class LiveRobot(Robot, Protocol):
         """Whether the attempt has succeeded, as far as `judge` can tell."""
         ...
 
+    def phase(self) -> str:
+        """Subtask that the attempt has reached; empty where the robot cannot tell."""
+        ...
+
     def row(self) -> "Row | Array":
         """What a recording keeps of the tick that was observed and acted last."""
         ...

@@ -6,7 +6,7 @@ from pydantic import Field
 
 from schemas.base import Frozen, Name
 
-type SceneFamily = Literal["demo", "augment", "gate", "deploy", "exam", "study"]
+type SceneFamily = Literal["demo", "augment", "gate", "deploy", "exam", "study", "teleop"]
 
 
 class Draw(Frozen):

@@ -103,6 +103,10 @@ class ArmRobot:
         """By what the robot perceives; never where it perceives nothing."""
         return self._sees and self._judge.succeeded()
 
+    def phase(self) -> str:
+        """Subtask reached, where the robot perceives the object."""
+        return self._judge.phase() if self._sees else ""
+
     def row(self) -> Row | Array:
         """The features of the arm; a real robot has no simulator's state."""
         sent = np.array([*self._joints, self._opening])

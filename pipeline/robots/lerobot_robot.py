@@ -145,6 +145,10 @@ class JointRobot:
         """Never: a person judges."""
         return False
 
+    def phase(self) -> str:
+        """Nobody here knows."""
+        return ""
+
     def row(self) -> Array:
         """Measured values, then the targets that were sent."""
         return np.concatenate([self._seen, self._sent])

@@ -97,6 +97,10 @@ class SimulatedRobot:
         """By the simulator's truth, or by what the robot perceives."""
         return bool(self.world.succeeded(_ONE)[0]) if self.judge == "simulator" else self._judge.succeeded()
 
+    def phase(self) -> str:
+        """Subtask reached, by what the robot perceives."""
+        return self._judge.phase()
+
     def row(self) -> Row:
         """All that a recording holds of the last tick."""
         table = {name: values[0] for name, values in self._tracer.newest().items()}

@@ -69,7 +69,7 @@ TASKS: MappingProxyType[str, PickPlace] = MappingProxyType({"pick-place": PickPl
 """Task name -> its config. Add one: a task of its own and an entry here."""
 
 FAMILY_BASE: MappingProxyType[SceneFamily, int] = MappingProxyType(
-    {"demo": 1, "augment": 2, "gate": 3, "deploy": 4, "exam": 5, "study": 6}
+    {"demo": 1, "augment": 2, "gate": 3, "deploy": 4, "exam": 5, "study": 6, "teleop": 7}
 )
 """First word of every seed: families can never share one."""
 
