@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 from pipeline.errors import RecordingError
 from pipeline.logs.fields import Decoder, Fields
+from pipeline.logs.json_messages import JsonDecoder
+from pipeline.logs.protobuf import ProtobufDecoder
 from pipeline.logs.ros2 import Ros2Decoder
 
 if TYPE_CHECKING:
@@ -15,6 +17,11 @@ __all__ = ["ENCODINGS", "Decoder", "Fields", "decoder"]
 
 ENCODINGS: MappingProxyType[tuple[str, str], "Callable[[Channel], Decoder]"] = MappingProxyType({
     ("cdr", "ros2msg"): Ros2Decoder,
+    ("json", "jsonschema"): JsonDecoder,
+    ("json", "ros2msg"): JsonDecoder,
+    ("json", "ros1msg"): JsonDecoder,
+    ("json", ""): JsonDecoder,
+    ("protobuf", "protobuf"): ProtobufDecoder,
 })
 """(message encoding, schema encoding) -> decoder."""
 

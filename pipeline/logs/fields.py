@@ -1,6 +1,5 @@
 """Fields: what the messages of one batch say, as columns; what every decoder gives."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -53,17 +52,3 @@ class Decoder(Protocol):
     def decode(self, batch: "Batch", /) -> Fields:
         """What the batch's messages say; a message that does not fit its schema is named in `bad`, never raised."""
         ...
-
-
-def stack(path: str, rows: Sequence[Numbers], fields: Fields) -> None:
-    """Put one sequence a message into `values` where all are as long, else into `ragged`."""
-    if len({len(row) for row in rows}) <= 1:
-        fields.values[path] = np.stack(rows) if rows else np.zeros((0, 0))
-    else:
-        fields.ragged[path] = list(rows)
-
-
-def header(values: dict[str, Numbers]) -> NDArray[np.int64] | None:
-    """The stamp among columns whose times are int64 [ns]."""
-    return next((column for path in STAMPS
-                 if (column := values.get(path)) is not None and column.ndim == 1 and column.dtype == np.int64), None)

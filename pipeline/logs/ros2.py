@@ -4,8 +4,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pipeline.logs.columns import Columns, Rows, merge
 from pipeline.logs.fields import Fields
-from pipeline.logs.ros2_columns import Block, Part, Rows, merge
+from pipeline.logs.ros2_columns import Block
 from pipeline.logs.ros2_layout import SLACK, Layout, Walk, compile_type
 from pipeline.logs.ros2_types import parse, short
 
@@ -32,7 +33,7 @@ class Ros2Decoder:
 
     def decode(self, batch: "Batch", /) -> Fields:
         """See Decoder."""
-        parts: list[Part] = []
+        parts: list[tuple[Rows, Columns]] = []
         bad: list[tuple[int, str]] = []
         todo = np.arange(len(batch.starts))
         for layout in self._known:
@@ -54,7 +55,8 @@ class Ros2Decoder:
                 _take(layout, batch, todo[:1], parts, bad)
                 rest = todo[1:]
             todo = rest
-        return merge(parts, bad)
+        rows, columns = merge(parts)
+        return columns.fields(rows, bad)
 
     def _walk(self, payload: bytes) -> Layout:
         try:
@@ -65,7 +67,8 @@ class Ros2Decoder:
             return Walk(self._plan, payload, wide=2).layout()  # no standard says how wide; both are in use
 
 
-def _take(layout: Layout, batch: "Batch", todo: Rows, parts: list[Part], bad: list[tuple[int, str]]) -> Rows:
+def _take(layout: Layout, batch: "Batch", todo: Rows, parts: list[tuple[Rows, Columns]],
+          bad: list[tuple[int, str]]) -> Rows:
     """Read the messages that have this layout into a part; returns the others."""
     sizes = batch.sizes[todo]
     least = layout.end if layout.tail < 0 else layout.runs[layout.tail][0][0]
@@ -86,5 +89,5 @@ def _take(layout: Layout, batch: "Batch", todo: Rows, parts: list[Part], bad: li
         block = block.keep(fine)
         texts, _ = block.texts()
     if block.rows.size:
-        parts.append(block.part(texts))
+        parts.append((block.rows, block.columns(texts)))
     return todo[~mask]

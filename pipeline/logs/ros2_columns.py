@@ -1,13 +1,13 @@
-"""The columns of messages that are laid out alike, and parts of a batch put together."""
+"""The columns of ROS 2 messages that are laid out alike."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.logs.fields import Fields, Numbers, header, stack
+from pipeline.logs.columns import Columns, Rows
+from pipeline.logs.fields import Numbers
 from pipeline.logs.ros2_layout import SLACK, Kind, Layout, Leaf
 
 if TYPE_CHECKING:
@@ -15,20 +15,8 @@ if TYPE_CHECKING:
 
 _NS = 1_000_000_000
 
-type Rows = NDArray[np.intp]
 type Texts = dict[int, list[tuple[str, ...]]]
 """Leaf -> its texts in each message."""
-
-
-@dataclass(frozen=True, slots=True)
-class Part:
-    """Some messages of a batch, all laid out alike."""
-
-    rows: Rows
-    values: dict[str, Numbers] = field(default_factory=dict[str, Numbers])
-    texts: dict[str, list[str]] = field(default_factory=dict[str, list[str]])
-    names: dict[str, list[tuple[str, ...]]] = field(default_factory=dict[str, list[tuple[str, ...]]])
-    blobs: dict[str, list[memoryview]] = field(default_factory=dict[str, list[memoryview]])
 
 
 class Block:
@@ -143,53 +131,21 @@ class Block:
             column = column.astype(column.dtype.newbyteorder("="), copy=False)
         return column if leaf.many else np.ascontiguousarray(column[:, 0])
 
-    def part(self, texts: Texts) -> Part:
+    def columns(self, texts: Texts) -> Columns:
         """All columns; `texts` are those of this block."""
-        part = Part(self.rows)
+        columns = Columns(times=self.layout.plan.times)
         for k, (leaf, runs) in enumerate(zip(self.layout.plan.leaves, self.layout.runs, strict=True)):
             if leaf.kind in ("text", "wide"):
                 if leaf.many:
-                    part.names[leaf.path] = texts[k]
+                    columns.names[leaf.path] = texts[k]
                 else:
-                    part.texts[leaf.path] = [line[0] for line in texts[k]]
+                    columns.texts[leaf.path] = [line[0] for line in texts[k]]
             elif leaf.kind == "blob":
-                part.blobs[leaf.path] = self._views(k)
+                columns.blobs[leaf.path] = self._views(k)
             elif leaf.kind != "skip":
-                part.values[leaf.path] = self._numbers(leaf, runs)
-        return part
+                columns.values[leaf.path] = self._numbers(leaf, runs)
+        return columns
 
 
 def _view(data: NDArray[np.uint8], dtype: str, width: int) -> Numbers:
     return np.ascontiguousarray(data).reshape(-1).view(dtype).reshape(len(data), data.shape[1] // width)
-
-
-def merge(parts: list[Part], bad: list[tuple[int, str]]) -> Fields:
-    """The parts of one batch as one, its messages in order again."""
-    bad = sorted(bad)
-    if len(parts) == 1:
-        (part,) = parts
-        return Fields(part.rows, tuple(bad), part.values, {}, part.texts, part.names, part.blobs, header(part.values))
-    if not parts:
-        return Fields(np.zeros(0, np.intp), tuple(bad))
-    rows = np.concatenate([part.rows for part in parts])
-    order = np.argsort(rows)
-    places: list[int] = order.tolist()
-    fields = Fields(rows[order], tuple(bad))
-    for path, column in parts[0].values.items():
-        pieces = [part.values[path] for part in parts]
-        if column.ndim == 1 or len({piece.shape[1] for piece in pieces}) == 1:
-            fields.values[path] = np.concatenate(pieces)[order]
-        else:
-            flat = [row for piece in pieces for row in piece]
-            stack(path, [flat[k] for k in places], fields)
-    for path in parts[0].texts:
-        texts = [text for part in parts for text in part.texts[path]]
-        fields.texts[path] = [texts[k] for k in places]
-    for path in parts[0].names:
-        names = [line for part in parts for line in part.names[path]]
-        fields.names[path] = [names[k] for k in places]
-    for path in parts[0].blobs:
-        blobs = [blob for part in parts for blob in part.blobs[path]]
-        fields.blobs[path] = [blobs[k] for k in places]
-    return Fields(fields.rows, fields.bad, fields.values, fields.ragged, fields.texts, fields.names, fields.blobs,
-                  header(fields.values))

@@ -61,6 +61,8 @@ class Plan:
 
     leaves: tuple[Leaf, ...]
     steps: tuple[Step, ...]
+    times: set[str]
+    """Paths of times."""
 
 
 def compile_type(name: str, types: Types, where: object) -> Plan:
@@ -94,7 +96,7 @@ def compile_type(name: str, types: Types, where: object) -> Plan:
         return tuple(step(prefix + m.name, m.kind, m.count, many, (*above, kind)) for m in types[kind])
 
     steps = inside(name, "", False, ())
-    return Plan(tuple(leaves), steps)
+    return Plan(tuple(leaves), steps, {leaf.path for leaf in leaves if leaf.kind == "time"})
 
 
 def _least(step: Step) -> int:
