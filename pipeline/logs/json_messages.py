@@ -37,6 +37,11 @@ _ABSENT = _Absent()
 _KINDS = MappingProxyType({bool: "number", int: "number", float: "number", str: "text", list: "list", dict: "object"})
 
 
+def _kind(cell: object) -> str:
+    """number, text, list or object; empty where nothing is there."""
+    return _KINDS.get(cast(type, type(cell)), "")
+
+
 class JsonDecoder:
     """Decodes one channel of JSON, under any schema or none."""
 
@@ -87,7 +92,7 @@ class _Table:
         elif kind == "number":
             columns.values[name] = _numbers(cells)
         elif kind == "text":
-            columns.texts[name] = ["" if cell in (None, _ABSENT) else cell for cell in cells]
+            columns.texts[name] = [cell if isinstance(cell, str) else "" for cell in cells]
         elif kind == "list":
             self._list(columns, name, cells, owners)
 
@@ -96,7 +101,7 @@ class _Table:
         kinds = {_KINDS[kind] for kind in set(map(type, cells)) - {NoneType, _Absent}}
         if len(kinds) < 2:
             return next(iter(kinds), ""), cells
-            columns.texts[name] = [cell if isinstance(cell, str) else "" for cell in cells]
+        each = [_kind(cell) for cell in cells]
         main = Counter(kind for kind in each if kind).most_common(1)[0][0]
         wrong = [k for k, kind in enumerate(each) if kind not in ("", main)]
         for k in wrong:
