@@ -20,6 +20,17 @@ SIMULATED_ACTORS = ("expert", "stand-in")
 
 
 @dataclass(frozen=True, slots=True)
+class Flaw:
+    """Why an episode may not be used now."""
+
+    reason: str
+    record: str | None = None
+    """Id of the record that does not hold; None where there is none."""
+    ended: bool = False
+    """Whether it held once: it expired or was revoked."""
+
+
+@dataclass(frozen=True, slots=True)
 class Consents:
     """The consent records of a store, and the moment at which episodes are to be used."""
 
@@ -27,9 +38,9 @@ class Consents:
     """Id -> record, revoked and expired ones included."""
     now: datetime
     """Moment of use, with its time zone."""
+    purpose: Purpose = "training"
 
-    def check(self, episodes: Iterable[Episode], known: Iterable[Episode] = (), *,
-              purpose: Purpose = "training") -> None:
+    def check(self, episodes: Iterable[Episode], known: Iterable[Episode] = ()) -> None:
         """Let episodes pass whose people agree, or refuse the first whose people do not.
 
         An episode that was made from others needs the consent of everybody in its chain of parents.
@@ -37,68 +48,104 @@ class Consents:
         Args:
             episodes: what is to be used.
             known: further episodes; parents are looked up among both.
-            purpose: what for.
 
         Raises:
             ConsentError: names the episode, the record, what is wrong with it, and the mend.
         """
-        chosen = list(episodes)
-        by_id = {e.id: e for e in (*known, *chosen)}
-        for episode in chosen:
-            for ancestor in _chain(episode, by_id):
-                if (reason := self.fault(ancestor, purpose)) is not None:
-                    raise refusal(episode, ancestor, reason, purpose)
+        for episode, found in self._flaws(episodes, known):
+            for at, flaw in found:
+                made_from = "" if at.id == episode.id else f"made from episode {at.id}: "
+                raise self._refusal(episode.id, flaw, f"episode {episode.id}: {made_from}{flaw.reason}")
 
-    def allowed(self, episodes: Iterable[Episode], known: Iterable[Episode] = (), *,
-                purpose: Purpose = "training") -> list[Episode]:
-        """Those of the episodes that `check` lets pass, in order."""
-        chosen = list(episodes)
-        by_id = {e.id: e for e in (*known, *chosen)}
-        return [e for e in chosen if all(self.fault(a, purpose) is None for a in _chain(e, by_id))]
+    def standing(self, episodes: Iterable[Episode], known: Iterable[Episode] = ()) -> list[Episode]:
+        """The episodes without those that rest on a consent which has ended; anything else is refused as by `check`.
 
-    def fault(self, episode: Episode, purpose: Purpose = "training") -> str | None:
+        Who took a consent back, or let it run out, need not tell every loop that their episodes are in.
+
+        Raises:
+            ConsentError: an episode never had a consent for this.
+        """
+        known, passed = list(known), list[Episode]()
+        for episode, found in self._flaws(episodes, known):
+            if not found:
+                passed.append(episode)
+            elif not all(flaw.ended for _, flaw in found):
+                self.check([episode], known)
+        return passed
+
+    def check_needs(self, needed: Mapping[str, Iterable[str]], where: object) -> None:
+        """Refuse the first episode that rests on a record which does not hold.
+
+        Args:
+            needed: episode id -> ids of the records that it rests on; see `needs`.
+            where: what holds these episodes.
+
+        Raises:
+            ConsentError: names the episode, the record, what is wrong with it, and the mend.
+        """
+        for episode, ids in needed.items():
+            for id in ids:
+                if (flaw := self._of_record(id)) is not None:
+                    raise self._refusal(episode, flaw, f"{where}: {flaw.reason}")
+
+    def flaw(self, episode: Episode) -> Flaw | None:
         """Why this episode, its parents aside, may not be used now; None if it may."""
-        if episode.consent == SIMULATED:
-            return None if nobody_in(episode) else "no consent record"
-        consent = self.records.get(episode.consent)
-        if consent is None:
-            return "no consent record"
-        others = sorted(_people(episode) - {consent.operator})
-        return f"consent {consent.id} is not of {others[0]!r}" if others else self.flaw(consent, purpose)
+        if episode.consent == SIMULATED and _nobody_in(episode):
+            return None
+        record = self.records.get(episode.consent)
+        if record is not None and (others := _people(episode) - {record.operator}):
+            return Flaw(f"consent {record.id} is not of {min(others)!r}", record.id)
+        return self._of_record(episode.consent)
 
-    def flaw(self, consent: Consent, purpose: Purpose = "training") -> str | None:
+    def ends(self, record: Consent) -> Flaw | None:
         """Why this record does not hold now; None if it does."""
         today = self.now.astimezone(UTC).date()
-        if consent.revoked is not None:
-            return f"consent {consent.id} was revoked on {consent.revoked.astimezone(UTC):%Y-%m-%d}"
-        if today > consent.expires:
-            return f"consent {consent.id} expired on {consent.expires}"
-        if today < consent.given:
-            return f"consent {consent.id} holds from {consent.given} on"
-        if purpose not in consent.purposes:
-            return f"consent {consent.id} is for {', '.join(consent.purposes)}"
+        if record.revoked is not None:
+            day = record.revoked.astimezone(UTC).date()
+            return Flaw(f"consent {record.id} was revoked on {day}", record.id, ended=True)
+        if today > record.expires:
+            return Flaw(f"consent {record.id} expired on {record.expires}", record.id, ended=True)
+        if today < record.given:
+            return Flaw(f"consent {record.id} holds from {record.given} on", record.id)
+        if self.purpose not in record.purposes:
+            return Flaw(f"consent {record.id} is for {', '.join(record.purposes)}", record.id)
         return None
+
+    def _of_record(self, id: str) -> Flaw | None:
+        record = self.records.get(id)
+        return Flaw(f"its consent is {id!r}") if record is None else self.ends(record)
+
+    def _flaws(self, episodes: Iterable[Episode],
+               known: Iterable[Episode]) -> list[tuple[Episode, list[tuple[Episode, Flaw]]]]:
+        chosen = list(episodes)
+        by_id = {e.id: e for e in (*known, *chosen)}
+        return [(e, [(at, flaw) for at in _chain(e, by_id) if (flaw := self.flaw(at)) is not None]) for e in chosen]
+
+    def _refusal(self, episode: str, flaw: Flaw, where: str) -> ConsentError:
+        """The one error of every door."""
+        kind = "no" if flaw.record is None else "no valid"
+        mend = "leave the episode out, " + (
+            "or have the person consent first: hardcase consent add, then record with --consent"
+            if flaw.record is None else f"or look at the record: hardcase consent show {flaw.record}")
+        return ConsentError(f"episode {episode} has {kind} consent record; it cannot be used for {self.purpose}",
+                            where=where, mend=mend)
 
 
 NO_CONSENTS = Consents({}, datetime(1, 1, 1, tzinfo=UTC))
 """Where no person's consent is known: only episodes without a person pass."""
 
 
-def nobody_in(episode: Episode) -> bool:
+def needs(episodes: Iterable[Episode], known: Iterable[Episode] = ()) -> dict[str, tuple[str, ...]]:
+    """Episode id -> ids of the consent records that it rests on: its own and those of everything it was made from."""
+    chosen = list(episodes)
+    by_id = {e.id: e for e in (*known, *chosen)}
+    return {e.id: tuple(dict.fromkeys(a.consent for a in _chain(e, by_id) if a.consent != SIMULATED)) for e in chosen}
+
+
+def _nobody_in(episode: Episode) -> bool:
     """Whether a simulator made the episode alone: its origin allows it, and nobody but a stand-in commanded it."""
     actors = {s.actor for s in episode.segments if s.kind != "autonomous"}
     return episode.origin in SIMULATED_ORIGINS and actors <= set(SIMULATED_ACTORS)
-
-
-def refusal(episode: Episode, at: Episode, reason: str, purpose: Purpose = "training") -> ConsentError:
-    """The one error of every door: `at` is the episode or the ancestor whose consent is wanting."""
-    kind = "" if reason == "no consent record" else "valid "
-    made_from = "" if at.id == episode.id else f"made from episode {at.id}: "
-    where = f"episode {episode.id}: {made_from}" + (f"its consent is {at.consent!r}" if not kind else reason)
-    mend = ("leave the episode out, or have the person consent first: hardcase consent add, then record with --consent"
-            if not kind else f"leave the episode out, or look at the record: hardcase consent show {at.consent}")
-    return ConsentError(f"episode {episode.id} has no {kind}consent record; it cannot be used for {purpose}",
-                        where=where, mend=mend)
 
 
 def _people(episode: Episode) -> set[str]:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import get_args
 
 from pipeline import arrow, frames, shards, trace
-from pipeline.consent import NO_CONSENTS, Consents
+from pipeline.consent import NO_CONSENTS, Consents, needs
 from pipeline.errors import ConfigError, DatasetError
 from pipeline.files import short_id, source_hash
 from pipeline.frames import Frames
@@ -19,6 +19,12 @@ from schemas.recipe import Recipe
 __all__ = ["build", "code_hash", "load_version"]
 
 ORIGINS: tuple[str, ...] = get_args(Origin.__value__)
+
+READING = tuple(f"pipeline/recording/{name}.py" for name in (
+    "cdr", "decode", "dialect", "errors", "fields", "metadata", "read", "records", "scan", "series", "summary",
+    "unpacking"))
+"""What reads frames from a recording. Whatever else lies beside it, the recorder of live robots for one, turns
+no recording into other bytes of a version, and must not change the ids of versions."""
 
 FOLDER = "versions"
 """Where versions lie, relative to the store's root."""
@@ -60,34 +66,39 @@ def build(episodes: Sequence[Episode], frames_of: Callable[[Episode], Frames] | 
         parent.id if parent else "", code, *(e.model_dump_json() for e in chosen),
     )
     target = store / FOLDER / version
-    if target.exists():
-        return load_version(target)
-    decided = split.Decided() if parent is None else _parent_decisions(store, parent)
-    rows, held, weights = _rows(chosen, episodes, recipe, task, decided)
+    if not target.exists():
+        decided = split.Decided() if parent is None else _parent_decisions(store, parent)
+        rows, held, weights = _rows(chosen, episodes, recipe, task, decided)
+        facts = {"id": version, "generation": generation, "parent": parent.id if parent else None, "weights": weights,
+                 "code": code}
+        reuse = store / parent.path if parent and parent.code == code else None
+        writer.write_version(target, rows, _getter(frames_of), _content(facts, rows, held, recipe, task, decided),
+                             aside=store / "tmp", fps=fps, robot=robot, parent=reuse)
+    return load_version(target)
+
+
+def _content(facts: Mapping[str, object], rows: Sequence[Row], held: frozenset[str], recipe: Recipe, task: str,
+             decided: split.Decided) -> dict[str, object]:
+    """What the manifest says of a version besides the digests of its files."""
+    chosen = [row.episode for row in rows]
     train = {row.lineage for row in rows} - held
-    content = manifest.write_content(
+    return manifest.write_content(
         {
-            "id": version, "recipe": recipe.name, "parent": parent.id if parent else None, "generation": generation,
-            "path": f"{FOLDER}/{version}", "episodes": [e.id for e in chosen],
-            "held_out": [row.episode.id for row in rows if row.split == "held_out"], "weights": weights,
-            "inputs": list(dict.fromkeys(e.blob for e in chosen)), "code": code,
-            "frames": sum(e.frames for e in chosen),
+            **facts, "recipe": recipe.name, "path": f"{FOLDER}/{facts['id']}", "episodes": [e.id for e in chosen],
+            "held_out": [row.episode.id for row in rows if row.split == "held_out"],
+            "inputs": list(dict.fromkeys(e.blob for e in chosen)), "frames": sum(e.frames for e in chosen),
         },
         recipe=recipe.model_dump(mode="json"), task=task,
         lineages={"held_out": sorted(held | decided.held_out), "train": sorted(train | decided.train)},
     )
-    reuse = store / parent.path if parent and parent.code == code else None
-    writer.write_version(target, rows, _getter(frames_of), content, aside=store / "tmp", fps=fps, robot=robot,
-                         parent=reuse)
-    return load_version(target)
 
 
 def code_hash() -> str:
     """Hash of every source file that decides which bytes a recording becomes."""
-    modules = (arrow, frames, shards, trace, exact, layout, manifest, sharing, split, tables, writer)
     here = Path(__file__)
-    files = [Path(m.__file__ or "") for m in modules]
-    return source_hash([*files, here, *(here.parents[1] / "pipeline" / "recording").glob("*.py")])
+    files = [Path(m.__file__ or "") for m in (arrow, frames, shards, trace, exact, layout, manifest, sharing, split,
+                                              tables, writer)]
+    return source_hash([here, *files, *(here.parents[1] / name for name in READING)])
 
 
 def _getter(frames_of: Callable[[Episode], Frames] | Mapping[str, Frames]) -> Callable[[Episode], Frames]:
@@ -167,6 +178,8 @@ def _rows(chosen: Sequence[Episode], everything: Sequence[Episode], recipe: Reci
     group = split.groups(chosen, {e.id: e for e in everything})
     weights = split.shares(recipe.dataset.weights, {group[e.id] for e in train})
     chance = split.chances(train, group, weights)
-    rows = [Row(e, task, roots[e.id], "train" if e.id in chance else "held_out", group[e.id], chance.get(e.id, 0.0))
+    people = needs(chosen, everything)
+    rows = [Row(e, task, roots[e.id], "train" if e.id in chance else "held_out", group[e.id], chance.get(e.id, 0.0),
+                ",".join(people[e.id]))
             for e in chosen]
     return rows, held, weights

@@ -5,7 +5,7 @@ from datetime import UTC, date, datetime, timedelta, timezone
 import pytest
 from pydantic import ValidationError
 
-from pipeline.consent import NO_CONSENTS, Consents
+from pipeline.consent import NO_CONSENTS, Consents, needs
 from pipeline.errors import ConsentError
 from schemas.consent import Consent
 from schemas.episode import Episode, Origin, Outcome, Segment
@@ -82,8 +82,21 @@ def test_what_was_made_from_an_episode_needs_the_consent_of_everybody_before_it(
     at().check([variant], [second])
     with pytest.raises(ConsentError, match=r"episode 0000000000000003 .*no consent(.|\n)*made from episode 0{15}1"):
         at().check([variant], [second, first])
-    assert at().allowed([first, second, variant]) == []
-    assert at().allowed([second, variant]) == [second, variant]
+    assert needs([variant], [second, first])[variant.id] == ("form-12", "none")
+
+
+def test_who_let_a_consent_end_is_left_out_and_who_never_gave_one_is_refused():
+    ended = at(revoked=datetime(2026, 5, 1, tzinfo=UTC))
+    mine, variant = episode(1), episode(2, origin="retargeted", consent="simulated", actor="expert", parent=1)
+    other = episode(3, origin="scripted", consent="simulated", actor="expert")
+    assert ended.standing([mine, variant, other]) == [other]
+    assert at(datetime(2027, 1, 1, tzinfo=UTC)).standing([variant, other], [mine]) == [other]
+    assert at().standing([mine, variant, other]) == [mine, variant, other]
+    for bad in (episode(4, consent="none"), episode(4, consent="none", parent=1, origin="corrected")):
+        with pytest.raises(ConsentError, match="episode 0000000000000004 has no consent record"):
+            ended.standing([mine, bad])
+    with pytest.raises(ConsentError, match="consent form-12 is for review"):
+        at(purposes=("review",)).standing([mine])
 
 
 @pytest.mark.parametrize(("changes", "rule"), [

@@ -33,6 +33,8 @@ class Row:
     """Key of the weights: base or corrections."""
     weight: float
     """Chance that a training sample comes from this episode; 0 if it is held out."""
+    consents: str = ""
+    """Ids of the consent records that it rests on, comma between; empty where nobody was recorded."""
 
     @property
     def segments(self) -> str:
@@ -157,6 +159,7 @@ def _own_columns(rows: Sequence[Row]) -> dict[str, Any]:
         "lineage": [row.lineage for row in rows],
         "split": [row.split for row in rows],
         "group": [row.group for row in rows],
+        "consents": [row.consents for row in rows],
     }
     columns = {name: texts(values) for name, values in origin.items()}
     columns["generation"] = _integers(e.generation for e in episodes)

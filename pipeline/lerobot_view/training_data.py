@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrow import pa, read_parquet, to_rows
+from pipeline.consent import NO_CONSENTS, Consents
+from pipeline.errors import DatasetError
 from pipeline.frames import FEATURES
 from pipeline.lerobot_view.agreement import features_in, refuse_others
 from pipeline.lerobot_view.layout import EPISODES, INTERVENTION, data_file
@@ -59,15 +61,22 @@ class TrainingData:
     """Rows that may start a sample of the validation split, in order; may be empty."""
 
     @classmethod
-    def load(cls, folder: Path) -> Self:
+    def load(cls, folder: Path, consents: Consents = NO_CONSENTS) -> Self:
         """Read a version folder without lerobot or torch.
 
+        Args:
+            folder: where the version lies.
+            consents: the consent records, and the moment of this use.
+
         Raises:
+            ConsentError: the version holds an episode of a person who did not consent, or does not any more.
             DatasetError: the folder is no version, was changed after it was built, or is of another robot.
         """
         weights = load_version(folder).weights
         refuse_others(features_in(folder), FEATURES, robot="arm", where=folder)
-        episodes = read_parquet(folder / EPISODES, ["dataset_from_index", "dataset_to_index", "split", "group"])
+        episodes = read_parquet(folder / EPISODES, ["dataset_from_index", "dataset_to_index", "split", "group",
+                                                    "episode_id", "consents"])
+        consents.check_needs(_needed(episodes, folder), folder)
         starts, stops = (to_rows(episodes.column(n), 1)[:, 0] for n in ("dataset_from_index", "dataset_to_index"))
         state, environment, action, intervention = _read(folder)
         teaches, last = _runs(starts, stops, intervention)
@@ -110,6 +119,15 @@ class TrainingData:
         last = self.last[rows][:, None]
         return Batch(self.state.take(rows, axis=0), self.environment.take(rows, axis=0),
                      self.action.take(np.minimum(wanted, last), axis=0), wanted <= last)
+
+
+def _needed(episodes: Any, folder: Path) -> dict[str, tuple[str, ...]]:
+    """Episode id -> consent records that it rests on."""
+    if "consents" not in episodes.column_names:
+        raise DatasetError("the version does not say whose consent it rests on", where=folder,
+                           mend="it was built by an older Hardcase; build it again: hardcase build")
+    columns = (episodes.column(name).to_pylist() for name in ("episode_id", "consents"))
+    return {id: tuple(filter(None, text.split(","))) for id, text in zip(*columns, strict=True)}
 
 
 def _read(folder: Path) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:

@@ -101,7 +101,7 @@ def test_the_validation_split_is_all_of_the_held_out_episodes(version):
 
 
 def test_a_chunk_ends_where_the_policy_took_over_again(episode, frames, recipe, task, tmp_path):
-    segments = [{"kind": kind, "start": a, "stop": b, "actor": "x"}
+    segments = [{"kind": kind, "start": a, "stop": b, "actor": "stand-in"}
                 for kind, a, b in (("autonomous", 0, 3), ("intervention", 3, 6), ("autonomous", 6, 9))]
     handed_back = episode("fix", "corrected", parent="attempt", length=9, generation=1, segments=segments)
     version = build([handed_back], frames, recipe, store=tmp_path, task=task, generation=1)

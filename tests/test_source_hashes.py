@@ -1,4 +1,4 @@
-"""What a recording says of the code that made it: it changes with what decides the bytes, and with nothing else."""
+"""Hashes of sources: a recording and a version change with the code that decides their bytes, and with no other."""
 
 import ast
 import shutil
@@ -9,6 +9,7 @@ import pytest
 
 from flows.facts import EVERY_RECORDING, RECORDINGS_OF, ROOT, recording_code, software
 from pipeline.files import short_id
+from stages.build import READING
 
 SPARED = {
     "pipeline/errors.py": "words of refusals; a refused recording has no bytes",
@@ -76,6 +77,11 @@ def test_the_list_names_what_a_recording_stage_really_uses(stage):
     used, listed = reached(f"stages/{stage}.py") - SPARED.keys(), {*EVERY_RECORDING, *RECORDINGS_OF[stage]}
     assert used - listed == set(), "reached by the stage: list it in flows/facts.py, or spare it here with a reason"
     assert listed - used == set(), "no longer reached: take it off the list in flows/facts.py"
+
+
+def test_a_version_hashes_what_reads_frames_and_nothing_else_that_lies_beside_it():
+    used = {file for file in reached("pipeline/recording/read.py") if file.startswith("pipeline/recording/")}
+    assert used == set(READING), "READING in stages/build.py names the files that read_frames uses"
 
 
 def test_nothing_is_spared_that_no_recording_stage_reaches():
