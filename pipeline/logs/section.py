@@ -17,7 +17,7 @@ from pipeline.logs.source import BLOCK, Source
 from pipeline.logs.tally import Tally
 from pipeline.logs.walk import PIECE, heads, message_run
 from pipeline.recording.errors import DAMAGED, SPLIT, not_mcap, reading, refuse
-from pipeline.recording.fields import Chunk, pairs, text
+from pipeline.recording.fields import Chunk, attachment, pairs, text
 from pipeline.recording.records import MAGIC, MESSAGE_FIELDS, Op
 from pipeline.recording.unpacking import MAX_BYTES, absurd, plain_bytes, read_chunk
 
@@ -26,6 +26,7 @@ MAX_PLAIN, PLAIN_A_BYTE = 256 << 20, 200
 MAX_RECORDS, BYTES_A_RECORD = 500_000, 64
 """Records other than messages: for a small log, and how many bytes of the file allow one more. The smallest
 chunk and its index together take about 150."""
+MAX_NAMED = 10_000
 PRIVATE = 0x80
 """From this opcode on records are an application's own."""
 
@@ -50,6 +51,8 @@ class Section:
         self.crc = 0
         """Over the whole section, proven; 0 where there is none."""
         self.metadata: list[tuple[str, dict[str, str]]] = []
+        self.attached: list[tuple[str, int]] = []
+        """Name and size of the first MAX_NAMED attachments."""
         self._source, self._declared, self._problems, self._where = source, declared, problems, where
         self._tolerant = tolerant
         self._room = MAX_RECORDS + source.size // BYTES_A_RECORD
@@ -235,8 +238,10 @@ class Section:
         if source.left < 9 + size:
             return False
         crc, left = 0, size - 4
-        source.fill(9)
+        source.fill(min(9 + size, BLOCK))
         source.at += 9
+        with reading(self._where, f"attachment at byte {offset}"):
+            head = attachment(source.data, source.at, source.at + size)
         while left > 0:
             step = min(left, BLOCK)
             if not source.fill(step):
@@ -244,12 +249,14 @@ class Section:
             crc = zlib.crc32(memoryview(source.data)[source.at : source.at + step], crc)
             source.at += step
             left -= step
-        if left < 0 or not source.fill(4):
-            raise refuse(f"attachment at byte {offset} is damaged: {size} B", self._where, DAMAGED)
+        if not source.fill(4):
+            return False
         (stored,) = struct.unpack_from("<I", source.data, source.at)
         source.at += 4
         if stored and stored != crc:
             raise refuse(f"attachment at byte {offset} is damaged: CRC mismatch", self._where, DAMAGED)
         self.tally.attachments += 1
+        if len(self.attached) < MAX_NAMED:
+            self.attached.append((head.name, head.stop - head.start))
         self.tally.bare += not stored
         return True

@@ -54,6 +54,8 @@ class LogReader:
         """Channel number -> messages read so far, unwanted ones too."""
         self.channels: dict[int, Channel] = {}
         """Channels declared so far."""
+        self.attached: list[tuple[str, int]] = []
+        """Name and size [B] of attachments read so far, of the first 10,000."""
         self._stream, self._tolerant = stream, accept_truncated
         self._problems = Problems()
         self._metadata: list[tuple[str, dict[str, str]]] | None = None
@@ -75,7 +77,7 @@ class LogReader:
         self._problems, source = Problems(), Source(self._stream, self.size)
         declared = Declared(self._problems)
         section = Section(source, declared, self._problems, self.path, tolerant=self._tolerant)
-        self.channels, self.counts = declared.channels, section.tally.counts
+        self.channels, self.counts, self.attached = declared.channels, section.tally.counts, section.attached
         asked: dict[int, bool] = {}
         with reading(self.path, "file"):
             for piece in section.pieces():
@@ -138,8 +140,8 @@ class LogReader:
         """Note what no CRC proves in a file without one over all of its data."""
         tally = section.tally
         if tally.bare:
-            self._problems.add(f"{tally.bare} chunks, messages or attachments without a CRC: damage would not be seen",
-                               0, "unproven")
+            self._problems.add("chunks, messages or attachments without a CRC: damage would not be seen", 0,
+                               "unproven")
         if not (proof.counts and proof.places):
             self._problems.add("no CRC over the data and no sound summary: missing data would not be seen", 0,
                                "unproven")
