@@ -6,7 +6,7 @@ import numpy as np
 
 from pipeline.logs.columns import Columns, Rows, merge
 from pipeline.logs.fields import Fields
-from pipeline.logs.ros2_columns import Block
+from pipeline.logs.ros2_columns import Block, each
 from pipeline.logs.ros2_layout import SLACK, Layout, Walk, compile_type
 from pipeline.logs.ros2_types import parse, short
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 MAX_KNOWN = 8
 """Layouts kept from batch to batch: a topic has two or three, one for each node that writes to it."""
-MAX_ALONE = 16
+MAX_ALONE = 4
 """So many layouts that fit one message only, and the rest of the batch is read message by message."""
 
 
@@ -39,12 +39,13 @@ class Ros2Decoder:
         for layout in self._known:
             if todo.size:
                 todo = _take(layout, batch, todo, parts, bad)
-        alone = 0
+        alone, single = 0, dict[bool, list[tuple[int, Layout]]]()
         while todo.size:
+            row = int(todo[0])
             try:
-                layout = self._walk(bytes(batch.payload(int(todo[0]))))
+                layout = self._walk(bytes(batch.payload(row)))
             except ValueError as error:
-                bad.append((int(todo[0]), str(error)))
+                bad.append((row, str(error)))
                 todo = todo[1:]
                 continue
             if alone < MAX_ALONE:
@@ -52,10 +53,11 @@ class Ros2Decoder:
                 alone += rest.size == todo.size - 1
                 self._known = [layout, *self._known[: MAX_KNOWN - 1]]
             else:
-                _take(layout, batch, todo[:1], parts, bad)
+                single.setdefault(layout.big, []).append((row, layout))
                 rest = todo[1:]
             todo = rest
-        rows, columns = merge(parts)
+        parts += [each(batch, found, bad) for found in single.values()]
+        rows, columns = merge([part for part in parts if part[0].size])
         return columns.fields(rows, bad)
 
     def _walk(self, payload: bytes) -> Layout:

@@ -1,7 +1,7 @@
 """The columns of ROS 2 messages that are laid out alike."""
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,7 +73,7 @@ class Block:
             lines: list[tuple[str, ...]] = []
             for row, pieces in enumerate(self._pieces(k, runs, count)):
                 try:
-                    lines.append(tuple([self._text(leaf.kind, piece) for piece in pieces]))
+                    lines.append(tuple([_text(self.layout, leaf.kind, piece) for piece in pieces]))
                 except ValueError as error:
                     lines.append(("",) * len(runs))
                     wrong.update(dict.fromkeys(range(self.rows.size) if once else (row,), f"{leaf.path}: {error}"))
@@ -86,14 +86,6 @@ class Block:
             return [(bytes(piece),) for piece in self._views(leaf)]
         columns = [[piece.tobytes() for piece in self.span(at, at + size)[:count]] for at, size in runs]
         return zip(*columns, strict=True) if columns else [()] * count
-
-    def _text(self, kind: Kind, data: bytes) -> str:
-        order = "be" if self.layout.big else "le"
-        if kind == "wide":
-            return data.decode(f"utf-{8 * self.layout.wide}-{order}")
-        if data and data[-1]:
-            raise ValueError("a text has no closing zero byte")
-        return data[:-1].decode()
 
     def _views(self, leaf: int) -> list[memoryview]:
         """The bytes of a leaf in each message, its runs joined."""
@@ -110,7 +102,6 @@ class Block:
     def _numbers(self, leaf: Leaf, runs: Sequence[tuple[int, int]]) -> Numbers:
         """The numbers of a leaf, shape (m,) or (m, k), in the machine's byte order."""
         runs = [run for run in runs if run[1]]
-        width = 4 if leaf.kind == "time" else 1 if leaf.dtype == "?" else int(leaf.dtype[1])
         if not runs:
             data = np.zeros((self.rows.size, 0), np.uint8)
         elif len(runs) == 1:
@@ -119,16 +110,7 @@ class Block:
             low, high = runs[0][0], sum(runs[-1])
             places = np.concatenate([np.arange(at - low, at - low + size) for at, size in runs])
             data = self.span(low, high)[:, places]
-        order = ">" if self.layout.big else "<"
-        if leaf.kind == "time":
-            pairs = _view(data, f"{order}u4", width)
-            seconds = pairs[:, 0::2].astype(np.int32).astype(np.int64)
-            column: NDArray[Any] = seconds * _NS + pairs[:, 1::2]
-        elif leaf.dtype == "?":
-            column = data != 0
-        else:
-            column = _view(data, order + leaf.dtype, width)
-            column = column.astype(column.dtype.newbyteorder("="), copy=False)
+        column = _column(leaf, data, big=self.layout.big)
         return column if leaf.many else np.ascontiguousarray(column[:, 0])
 
     def columns(self, texts: Texts) -> Columns:
@@ -147,5 +129,58 @@ class Block:
         return columns
 
 
-def _view(data: NDArray[np.uint8], dtype: str, width: int) -> Numbers:
-    return np.ascontiguousarray(data).reshape(-1).view(dtype).reshape(len(data), data.shape[1] // width)
+def _column(leaf: Leaf, data: NDArray[np.uint8], *, big: bool) -> Numbers:
+    """The bytes of a leaf, shape (m, size), as numbers in the machine's byte order, shape (m, k)."""
+    if leaf.dtype == "?":
+        return data != 0
+    order, dtype = ">" if big else "<", "u4" if leaf.kind == "time" else leaf.dtype
+    column = np.ascontiguousarray(data).reshape(-1).view(order + dtype)
+    column = column.astype(column.dtype.newbyteorder("="), copy=False).reshape(len(data), -1 if data.size else 0)
+    if leaf.kind != "time":
+        return column
+    return column[:, 0::2].view(np.int32).astype(np.int64) * _NS + column[:, 1::2]
+
+
+def _text(layout: Layout, kind: Kind, data: bytes) -> str:
+    if kind == "wide":
+        return data.decode(f"utf-{8 * layout.wide}-{'be' if layout.big else 'le'}")
+    if data and data[-1]:
+        raise ValueError("a text has no closing zero byte")
+    return data[:-1].decode()
+
+
+def each(batch: "Batch", found: Sequence[tuple[int, Layout]], bad: list[tuple[int, str]]) -> tuple[Rows, Columns]:
+    """Columns of messages that are laid out each in its own way, read one by one; all of one byte order."""
+    data = memoryview(batch.data)
+    good: list[tuple[int, Layout]] = []
+    texts: list[list[tuple[str, ...]]] = []
+    plan, big = found[0][1].plan, found[0][1].big
+    wordy = [k for k, leaf in enumerate(plan.leaves) if leaf.kind in ("text", "wide")]
+    for row, layout in found:
+        start = int(batch.starts[row])
+        try:
+            texts.append([tuple([_text(layout, plan.leaves[k].kind, bytes(data[start + at : start + at + size]))
+                                 for at, size in layout.runs[k]]) for k in wordy])
+            good.append((row, layout))
+        except ValueError as error:
+            bad.append((row, str(error)))
+    columns = Columns(times=plan.times)
+    for place, k in enumerate(wordy):
+        if plan.leaves[k].many:
+            columns.names[plan.leaves[k].path] = [lines[place] for lines in texts]
+        else:
+            columns.texts[plan.leaves[k].path] = [lines[place][0] for lines in texts]
+    for k, leaf in enumerate(plan.leaves):
+        if leaf.kind not in ("blob", "number", "time"):
+            continue
+        pieces = [b"".join([data[start + at : start + at + size] for at, size in layout.runs[k]])
+                  for start, layout in [(int(batch.starts[row]), layout) for row, layout in good]]
+        if leaf.kind == "blob":
+            columns.blobs[leaf.path] = list(map(memoryview, pieces))
+            continue
+        flat = _column(leaf, np.frombuffer(b"".join(pieces), np.uint8)[None], big=big)[0]
+        if leaf.many:
+            columns.split(leaf.path, flat, [len(piece) // leaf.size for piece in pieces])
+        else:
+            columns.values[leaf.path] = flat
+    return np.array([row for row, _ in good], np.intp), columns

@@ -42,6 +42,11 @@ class Leaf:
     many: bool
     """In a sequence or array, or below one."""
 
+    @property
+    def size(self) -> int:
+        """Bytes of one value."""
+        return 8 if self.kind == "time" else 1 if self.dtype == "?" else int(self.dtype[1])
+
 
 @dataclass(frozen=True, slots=True)
 class Step:
@@ -215,7 +220,7 @@ class Walk:
 
     def _numbers(self, leaf: int, count: int) -> None:
         kind = self._plan.leaves[leaf]
-        size = 8 if kind.kind == "time" else 1 if kind.dtype == "?" else int(kind.dtype[1])
+        size = kind.size
         if count:
             self._align(4 if kind.kind == "time" else size)
         self._run(leaf, count * size)
