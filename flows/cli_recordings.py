@@ -2,4 +2,8 @@
 
 import typer
 
+from flows.cli_consent import consent
+
 commands = typer.Typer()
+
+commands.add_typer(consent, name="consent")

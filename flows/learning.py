@@ -27,7 +27,8 @@ def collected(run: ArmRun) -> Made:
 def augmented(run: ArmRun, generation: int, progress: Progress) -> Made:
     """Variants of what is new: of demonstrations at first, of corrections later."""
     config = run.recipe.augment
-    parents = [e for e in run.material.fresh(generation) if e.outcome.label == "success"]
+    good = [e for e in run.material.fresh(generation) if e.outcome.label == "success"]
+    parents = run.material.usable(good)
     sources = [(e, run.material.frames(e)) for e in parents]
     # A correction's commands fit the robot they failed on: played elsewhere they fail again. Where it shows a
     # grasp it is carried over instead.
@@ -44,7 +45,9 @@ def augmented(run: ArmRun, generation: int, progress: Progress) -> Made:
         shard = run.folder() / f"variants-{run.run}-{generation}.arrow"
         write_shard(shard, kept)
         blob = run.store.put_blob(shard, move=True)
-    episodes = [e.model_copy(update={"blob": blob if e.id in kept else None}) for e in made.episodes]
+    consent = {parent.id: parent.consent for parent in parents}
+    episodes = [e.model_copy(update={"blob": blob if e.id in kept else None, "consent": consent[str(e.parent)]})
+                for e in made.episodes]
     says = f"{len(kept)} of {len(episodes)} variants kept"
     return Made(tuple(kept), says, {"report": made.report.model_dump(mode="json")},
                 lambda tx: tx.add_episodes(episodes))
@@ -62,16 +65,21 @@ def _aims(run: ArmRun) -> tuple[str, ...]:
 def built(run: ArmRun, generation: int) -> Made:
     """The dataset version of everything so far."""
     parent = run.material.version(generation - 1) if generation else None
-    version = build(run.material.episodes(generation), run.material.frames, run.recipe, store=run.store.root,
-                    task=load_task(run.recipe.task).instruction, generation=generation, parent=parent)
+    consents, everything = run.material.consents(), run.material.episodes(generation)
+    standing = consents.standing(everything)
+    version = build(standing, run.material.frames, run.recipe, store=run.store.root,
+                    task=load_task(run.recipe.task).instruction, generation=generation, parent=parent,
+                    consents=consents)
     says = f"{len(version.episodes)} episodes, {version.frames} frames"
+    if out := len(everything) - len(standing):
+        says += f"; {out} left out, their consent has ended"
     return Made((version.id,), says, {"frames": version.frames}, lambda tx: tx.add_version(version))
 
 
 def trained(run: ArmRun, generation: int, progress: Progress) -> Made:
     """The candidate."""
     version = run.material.version(generation)
-    data = TrainingData.load(run.store.path(version.path))
+    data = TrainingData.load(run.store.path(version.path), run.material.consents())
     policy = train(version, data, run.recipe.train, seed=1000 * run.seed + generation, store=run.store.root,
                    progress=lambda done, total, loss: progress(done, total))
     says = f"loss {policy.train_loss[-1][1]:.3f}, ONNX within {policy.onnx_error:.0e}"

@@ -1,9 +1,11 @@
 """Material: what the finished steps of a run hold, as the next stages need it."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
 from typing import Any
 
+from flows.consents import consents_now
+from pipeline.consent import Consents
 from pipeline.errors import StoreError
 from pipeline.frames import Frames
 from pipeline.recording import read_episode, read_frames
@@ -65,9 +67,33 @@ class Material:
         for g in range(generation + 1):
             found += self.fresh(g)
             found += self._store.episodes(self.ids(g, "augment"))
-        known = {e.id for e in found}
-        grown = [e.parent for e in found if e.parent and e.parent not in known]
-        return found + self._store.episodes(list(dict.fromkeys(grown)))
+        return found + self.ancestors(found)
+
+    def ancestors(self, episodes: Iterable[Episode]) -> list[Episode]:
+        """What these episodes were made from, through any number of steps, without themselves."""
+        waiting, found = list(episodes), list[Episode]()
+        known = {e.id for e in waiting}
+        while grown := list(dict.fromkeys(e.parent for e in waiting if e.parent and e.parent not in known)):
+            waiting = self._store.episodes(grown)
+            known |= {e.id for e in waiting}
+            found += waiting
+        return found
+
+    def usable(self, episodes: Iterable[Episode]) -> list[Episode]:
+        """The episodes without those that rest on a consent which has ended; each of the others may teach.
+
+        Raises:
+            ConsentError: a person in an episode never consented.
+        """
+        consents, chosen = self.consents(), list(episodes)
+        known = self.ancestors(chosen)
+        standing = consents.standing(chosen, known)
+        consents.check(standing, known)
+        return standing
+
+    def consents(self) -> Consents:
+        """The consent records as they are, for a use at this moment."""
+        return consents_now(self._store)
 
     def frames(self, episode: Episode) -> Frames:
         """The frames of an episode, from its recording or its shard."""
@@ -81,6 +107,7 @@ class Material:
     def failed_attempts(self, generation: int) -> list[tuple[Episode, Trace]]:
         """Deployed attempts that a trigger stopped, whole and restorable."""
         failed = [e for e in self._store.episodes(self.ids(generation, "deploy")) if e.outcome.label == "failure"]
+        failed = self.usable(failed)  # what is corrected is taught
         return [(e, read_episode(self._store.blob(str(e.blob)))[1]) for e in failed]
 
     def version(self, generation: int) -> DatasetVersion:

@@ -58,20 +58,12 @@ class Consents:
                 raise self._refusal(episode.id, flaw, f"episode {episode.id}: {made_from}{flaw.reason}")
 
     def standing(self, episodes: Iterable[Episode], known: Iterable[Episode] = ()) -> list[Episode]:
-        """The episodes without those that rest on a consent which has ended; anything else is refused as by `check`.
+        """The episodes without those that rest on a consent which has ended, in order.
 
-        Who took a consent back, or let it run out, need not tell every loop that their episodes are in.
-
-        Raises:
-            ConsentError: an episode never had a consent for this.
+        Who took a consent back, or let it run out, need not tell every loop that their episodes are in. What
+        never had a consent stays in: that is a mistake, and `check` names it.
         """
-        known, passed = list(known), list[Episode]()
-        for episode, found in self._flaws(episodes, known):
-            if not found:
-                passed.append(episode)
-            elif not all(flaw.ended for _, flaw in found):
-                self.check([episode], known)
-        return passed
+        return [e for e, found in self._flaws(episodes, known) if not any(flaw.ended for _, flaw in found)]
 
     def check_needs(self, needed: Mapping[str, Iterable[str]], where: object) -> None:
         """Refuse the first episode that rests on a record which does not hold.

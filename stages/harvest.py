@@ -163,7 +163,7 @@ def _joined(episode: Episode, before: Trace, after: Trace, delay: int, origin: O
     joined = Episode(
         id=episode_id(origin, episode.scene, episode.id, n), origin=origin, scene=episode.scene,
         control_hz=episode.control_hz, frames=len(trace), parent=episode.id, transform="correction",
-        policy=episode.policy, generation=generation,
+        policy=episode.policy, generation=generation, consent=episode.consent,
         outcome=_seen(trace, within_m).model_copy(update={"trigger": episode.outcome.trigger,
                                                           "family": episode.outcome.family,
                                                           "tick": episode.outcome.tick}),
