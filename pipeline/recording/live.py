@@ -1,0 +1,289 @@
+"""Record while it happens: any robot, any rate, cameras on; the control thread never waits for the disk."""
+
+import fcntl
+import json
+import os
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import RecordingError
+from pipeline.files import sync_folder
+from pipeline.recording import cdr
+from pipeline.recording.live_file import LiveFile
+from pipeline.recording.live_header import START, final_metadata, start_metadata
+from pipeline.recording.live_rows import Row, RowLayout, TickLayout, Vector
+from pipeline.recording.live_writer import QUEUE_BYTES, Item, LiveWriter, close_quietly, write_all
+from pipeline.recording.metadata import NAME
+from pipeline.recording.pictures import check_picture, image_message
+from pipeline.recording.verify import verify
+from pipeline.recording.write import RESERVE_BYTES, leave_reserve, lock, named, part_of
+from schemas.episode import Episode, Outcome, Segment
+
+
+@dataclass(frozen=True, slots=True)
+class Closed:
+    """A recording that was read again as a whole and has its name."""
+
+    path: Path
+    episode: Episode
+    """With the file's sha256 as its blob."""
+    dropped: Mapping[str, int]
+    """Topic -> messages that were lost because the disk was slower than the robot; "tick" counts whole ticks."""
+
+
+def steady_clock() -> Callable[[], int]:
+    """Time of day at this call, going on with the monotonic clock [ns]: it never goes back."""
+    base = time.time_ns() - time.monotonic_ns()
+    return lambda: base + time.monotonic_ns()
+
+
+class LiveRecorder:
+    """Records one attempt into NAME.mcap.part, which gets its name in `close`; implements protocols.Recorder.
+
+    Every method but `close` only queues: it takes some microseconds and returns False where the message was
+    dropped, because the queue is full or the disk has failed (`failed` says so at once, `close` raises it). What
+    a killed process had written is kept by pipeline.recording.recover. Methods may be called from any thread,
+    one topic from one thread at a time.
+
+    Args:
+        path: the final name, ending in .mcap.
+        episode: what is known at the start; its frames, outcome and segments are those of `close`, and its one
+            segment says who begins (see live_header.beginning).
+        attachments: scene.xml, config.json, robot.urdf, randomization.json; the URDF also goes to /robot_description.
+        software: software_commit, simulator_version and further strings for the metadata.
+        layout: messages of a tick, for a robot other than the reference arm; see live_rows.joint_layout.
+        clock: log time now [ns]; must not go back.
+        queue_bytes: what may wait for the disk [B].
+        reserve_bytes: free space below which no recording starts [B].
+
+    Raises:
+        RecordingError: the name is taken, left over or being written, or the disk is short or refuses.
+    """
+
+    def __init__(self, path: Path, episode: Episode, *, attachments: Mapping[str, bytes],
+                 software: Mapping[str, str] | None = None, layout: TickLayout | None = None,
+                 clock: Callable[[], int] | None = None, queue_bytes: int = QUEUE_BYTES,
+                 reserve_bytes: int = RESERVE_BYTES) -> None:
+        self.path, self.frames = path, 0
+        self._episode, self._software, self._layout = episode, dict(software or {}), layout
+        self._clock = clock or steady_clock()
+        self._shapes: tuple[object, ...] | None = None
+        self._numbered = self._closed = False
+        first = episode.segments[0]
+        self._starts: list[tuple[int, str, str]] = [(0, first.kind, first.actor)]
+        with named(path):
+            self._handle = _open_part(path, reserve_bytes)
+        try:
+            with named(path):
+                self._begin(attachments, queue_bytes)
+        except BaseException:
+            part_of(path).unlink(missing_ok=True)
+            close_quietly(self._handle)
+            raise
+
+    def _begin(self, attachments: Mapping[str, bytes], queue_bytes: int) -> None:
+        now = self._clock()
+        metadata = {START: start_metadata(self._episode, self._software)}
+        self._file = LiveFile(metadata, attachments, now)
+        if (urdf := attachments.get("robot.urdf")) is not None:
+            self._file.add("/robot_description", 0, now, now, cdr.text(urdf.decode()))
+            self._file.seal()
+        self._writer = LiveWriter(self._handle, self._file, self._clock, queue_bytes=queue_bytes)
+
+    # -- while it happens -------------------------------------------------------------------------------------------
+
+    def tick(self, tick: int, row: Row | Vector, *, stamp_ns: int | None = None) -> bool:
+        """Record tick `tick`: all its messages, or none.
+
+        Args:
+            tick: 0, 1, 2, ...; the sequence number of its messages.
+            row: what was perceived at the tick, and the action that followed; a vector where a layout was given.
+            stamp_ns: when it was perceived [ns], on the robot's clock; now where None.
+        """
+        if isinstance(row, Row):
+            if self._shapes is None and self._layout is None:
+                self._layout, self._shapes = RowLayout(row, self.path), row.shapes()
+            elif row.shapes() != self._shapes:
+                raise RecordingError(f"tick {tick} is laid out otherwise than the first", where=self.path,
+                                     mend="give the same links, rewards and sizes at every tick")
+            values = row.vector()
+        else:
+            values = np.array(row, np.float64)
+        if self._layout is None:
+            raise RecordingError("a vector without a layout", where=self.path, mend="LiveRecorder(..., layout=...)")
+        self.frames = max(self.frames, tick + 1)
+        now = self._clock()
+        encode = partial(self._lay_tick, tick, now, now if stamp_ns is None else stamp_ns, values)
+        return self._writer.put(Item("tick", tick, encode), values.nbytes + 200)
+
+    def write(self, topic: str, payload: bytes, *, tick: int | None = None, stamp_ns: int | None = None) -> bool:
+        """Record one message of a topic of the dialect.
+
+        Args:
+            topic: see dialect.TOPICS.
+            payload: CDR, encapsulation included; see cdr.py.
+            tick: its sequence number; the tick that comes next where None.
+            stamp_ns: publish time [ns]; now where None.
+        """
+        return self._put(topic, lambda _: payload, len(payload), tick, stamp_ns)
+
+    def image(self, camera: str, picture: NDArray[np.uint8] | bytes, *, tick: int | None = None,
+              stamp_ns: int | None = None) -> bool:
+        """Record a picture on /camera/<camera>/image/compressed.
+
+        Args:
+            camera: its name.
+            picture: RGB, shape (height, width, 3), or a JPEG. An array that can be written to is copied.
+            tick: the tick it belongs to; the one that comes next where None.
+            stamp_ns: when it was taken [ns]; now where None.
+        """
+        check_picture(picture, f"camera {camera}")
+        if isinstance(picture, np.ndarray) and picture.flags.writeable:
+            picture = picture.copy()
+        size = len(picture) if isinstance(picture, bytes) else picture.nbytes
+        return self._put(f"/camera/{camera}/image/compressed", partial(image_message, camera, picture), size, tick,
+                         stamp_ns, low=True)
+
+    def phase(self, name: str, *, tick: int | None = None) -> bool:
+        """Record that a subtask begins."""
+        return self.write("/task/phase", cdr.text(name), tick=tick)
+
+    def event(self, name: str, text: str, *, level: int = 20, tick: int | None = None) -> bool:
+        """Record an event; level as in rcl_interfaces/msg/Log: 20 info, 30 warn, 40 error."""
+        return self._put("/events", lambda ns: cdr.log(ns, level, name, text), len(text), tick, None)
+
+    def joy(self, axes: list[float], buttons: list[int], *, tick: int | None = None,
+            stamp_ns: int | None = None) -> bool:
+        """Record raw operator input on /teleop/joy."""
+        return self._put("/teleop/joy", lambda ns: cdr.joy(ns, axes, buttons), 8 * len(axes) + 8 * len(buttons), tick,
+                         stamp_ns)
+
+    def segment(self, kind: str, actor: str, *, tick: int | None = None) -> bool:
+        """From `tick` (the next one where None) somebody else commands; kind and actor as in schemas Segment."""
+        at = self.frames if tick is None else tick
+        Segment.model_validate({"kind": kind, "start": at, "stop": at + 1, "actor": actor})
+        self._starts = [s for s in self._starts if s[0] < at] + [(at, kind, actor)]
+        return self.event("segment", f"{kind} {actor}", tick=at)
+
+    @property
+    def failed(self) -> bool:
+        """Whether the disk has refused something; `close` tells what."""
+        return self._writer.error is not None
+
+    @property
+    def dropped(self) -> dict[str, int]:
+        """Topic -> messages that were lost so far."""
+        return dict(self._writer.dropped)
+
+    def _put(self, topic: str, payload: Callable[[int], bytes], size: int, tick: int | None, stamp_ns: int | None, *,
+             low: bool = False) -> bool:
+        now, sequence = self._clock(), self.frames if tick is None else tick
+        stamp = now if stamp_ns is None else stamp_ns
+        encode = partial(_lay, topic, sequence, now, stamp, payload)
+        return self._writer.put(Item(topic, sequence, encode), size + 200, low=low)
+
+    def _lay_tick(self, tick: int, log_ns: int, stamp_ns: int, values: Vector, file: LiveFile) -> None:
+        layout = self._layout
+        assert layout is not None
+        if not self._numbered:
+            layout.number([file.declare(topic) for topic in layout.topics])
+            self._numbered = True
+        file.add_block(layout.block(tick, log_ns, stamp_ns, values), layout.places, log_ns)
+
+    # -- at the end -------------------------------------------------------------------------------------------------
+
+    def close(self, outcome: Outcome | None = None, segments: tuple[Segment, ...] | None = None) -> Closed:
+        """Finish the file: sync it, read all of it again, give it its name.
+
+        Args:
+            outcome: how the attempt ended; unknown where None.
+            segments: who commanded when; those of `segment` where None.
+
+        Raises:
+            RecordingError: what the disk reported first, or the file does not read back; NAME.mcap.part stays
+                for recover. Without a single tick the .part is removed.
+        """
+        if self._closed:
+            raise RecordingError("recording is closed already", where=self.path, mend="start another one")
+        self._stop()
+        try:
+            if self.frames == 0:
+                part_of(self.path).unlink()
+                raise RecordingError("no tick was recorded", where=self.path, mend="record at least one tick")
+            with named(self.path):
+                if self._writer.error is not None:
+                    raise self._writer.error
+                return self._finish(outcome or Outcome(label="unknown", judged_by="operator"), segments)
+        finally:
+            close_quietly(self._handle)
+
+    def abandon(self) -> None:
+        """Write what waits and leave NAME.mcap.part as a killed process would: recover marks it truncated."""
+        if not self._closed:
+            self._stop()
+            close_quietly(self._handle)
+
+    def _stop(self) -> None:
+        self._closed = True
+        self._writer.finish()
+
+    def _finish(self, outcome: Outcome, segments: tuple[Segment, ...] | None) -> Closed:
+        if segments is None:
+            starts = [s for s in self._starts if s[0] < self.frames]
+            stops = [*(s[0] for s in starts[1:]), self.frames]
+            segments = tuple(Segment.model_validate({"kind": kind, "start": start, "stop": stop, "actor": actor})
+                             for (start, kind, actor), stop in zip(starts, stops, strict=True))
+        values = self._episode.model_dump() | {"frames": self.frames, "outcome": outcome, "segments": segments}
+        episode = Episode.model_validate(values)
+        dropped = dict(self._writer.dropped)
+        extra = {**self._software, "dropped": json.dumps(dropped, sort_keys=True)}
+        self._file.end({NAME: final_metadata(episode, extra)})
+        write_all(self._handle, self._file.take())
+        os.fsync(self._handle)
+        part = part_of(self.path)
+        digest = verify(part, self._file.assembly.counts, self._file.numbers)
+        part.replace(self.path)
+        sync_folder(self.path.parent)
+        return Closed(self.path, episode.model_copy(update={"blob": digest}), dropped)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        """Leave the .part for recover, unless it was closed: whoever did not get to `close` knows no outcome."""
+        self.abandon()
+
+
+def _lay(topic: str, sequence: int, log_ns: int, stamp_ns: int, payload: Callable[[int], bytes],
+         file: LiveFile) -> None:
+    file.add(topic, sequence, log_ns, stamp_ns, payload(stamp_ns))
+
+
+def _open_part(path: Path, reserve_bytes: int) -> int:
+    """An empty .part, locked for as long as it is open: the lock tells recover that its writer lives."""
+    if path.suffix != ".mcap":
+        raise RecordingError(f"a recording is named .mcap, not {path.suffix!r}", where=path,
+                             mend=f"write to {path.with_suffix('.mcap').name}")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.exists():
+        raise RecordingError("recording is already there", where=path, mend="name another file, or move this one away")
+    leave_reserve(path.parent, 0, reserve_bytes)
+    handle = os.open(part_of(path), os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o644)
+    try:
+        lock(handle, part_of(path))
+        if os.fstat(handle).st_size:
+            fcntl.flock(handle, fcntl.LOCK_UN)
+            raise RecordingError("what a killed recording left has this name", where=part_of(path),
+                                 mend=f"hardcase recover {path.parent}")
+    except BaseException:
+        close_quietly(handle)
+        raise
+    return handle

@@ -1,0 +1,33 @@
+"""Pictures on their way into a recording: JPEG in sensor_msgs/CompressedImage, which every viewer takes."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import RecordingError
+from pipeline.recording import cdr
+
+QUALITY = 85
+"""JPEG quality: 9 KB for 320 x 240, 0.13 ms of one core; 95 would double both the size and the disk."""
+
+
+def jpeg(picture: NDArray[np.uint8], *, quality: int = QUALITY) -> bytes:
+    """A picture, RGB of shape (height, width, 3), as JPEG with colours at half the resolution."""
+    from simplejpeg import encode_jpeg
+
+    return encode_jpeg(np.ascontiguousarray(picture), quality=quality, colorspace="RGB", colorsubsampling="420")
+
+
+def image_message(camera: str, picture: NDArray[np.uint8] | bytes, stamp_ns: int) -> bytes:
+    """CompressedImage of a picture; its frame is the camera's name."""
+    return cdr.compressed_image(stamp_ns, camera, "jpeg", picture if isinstance(picture, bytes) else jpeg(picture))
+
+
+def check_picture(picture: NDArray[np.uint8] | bytes, where: object) -> None:
+    """Raise RecordingError where a picture is neither RGB nor a JPEG."""
+    if isinstance(picture, bytes):
+        good, what = picture[:2] == b"\xff\xd8", "bytes that are no JPEG"
+    else:
+        good = picture.dtype == np.uint8 and picture.ndim == 3 and picture.shape[2] == 3 and picture.size > 0
+        what = f"{picture.dtype} of shape {picture.shape}"
+    if not good:
+        raise RecordingError(f"a picture is {what}", where=where, mend="give RGB as uint8 (height, width, 3), or a JPEG")
