@@ -53,13 +53,15 @@ def episode_metadata(episode: Episode, *, software: Mapping[str, str], truncated
 def consent_strings(episode: Episode, consent: Consent | None) -> dict[str, str]:
     """Who was recorded (by pseudonym), where, for what and until when it may be used; a simulation says so."""
     actors = [s.actor for s in episode.segments if s.kind != "autonomous"]
-    if consent is not None:
-        operator, site, purpose, until = (consent.operator, consent.site, ",".join(consent.purposes),
-                                          consent.expires.isoformat())
-    else:
-        operator = actors[0] if actors else "none"
-        site = purpose = until = SIMULATED if episode.consent == SIMULATED else "unknown"
-    return {"operator": operator, "consent": episode.consent, "site": site, "purpose": purpose, "expires": until}
+    unsaid = SIMULATED if episode.consent == SIMULATED else "unknown"
+    said = {"operator": actors[0] if actors else "none", "site": unsaid, "purpose": unsaid, "expires": unsaid}
+    return {"consent": episode.consent, **(said if consent is None else record_strings(consent))}
+
+
+def record_strings(consent: Consent) -> dict[str, str]:
+    """What a consent record says, in the words of the metadata."""
+    return {"operator": consent.operator, "site": consent.site, "purpose": ",".join(consent.purposes),
+            "expires": consent.expires.isoformat()}
 
 
 def seal(values: Mapping[str, str]) -> str:

@@ -21,7 +21,7 @@ MANY = 700
 def whole(tmp_path, trace, episode, attachments) -> bytes:
     path = tmp_path / "elsewhere" / "a.mcap"
     write_episode(path, episode(MANY), trace(MANY), attachments=attachments,
-                  software={"software_commit": "abc", "simulator_version": "mujoco 4.1"})
+                  software={"software_commit": "abc", "simulator_version": "mujoco 4.1", "site": "lab-2"})
     data = path.read_bytes()
     path.unlink()
     return data
@@ -61,6 +61,7 @@ def test_the_metadata_says_that_it_was_truncated(tmp_path, whole):
         assert reader.get_summary().statistics.channel_message_counts[1] == done.frames
     assert (record.metadata["truncated"], record.metadata["outcome"]) == ("true", "unknown")
     assert record.metadata["software_commit"] == "abc", "who recorded it, not who recovered it"
+    assert record.metadata["site"] == "lab-2"
 
 
 def test_a_file_that_only_missed_its_name_gets_it(tmp_path, whole):

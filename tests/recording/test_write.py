@@ -9,6 +9,7 @@ import os
 import resource
 import subprocess
 import sys
+from datetime import date
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from rosbags.highlevel import AnyReader
 from pipeline.errors import RecordingError
 from pipeline.recording import Recording, read_episode, write_episode, write_episodes
 from pipeline.recording.dialect import EPOCH_NS
+from schemas.consent import Consent
 from schemas.episode import Episode
 
 
@@ -127,6 +129,32 @@ def test_metadata_says_who_what_and_how_it_ended(recording):
     assert {key: said[key] for key in expected} == expected
     assert said["simulator_version"].startswith("mujoco 4")
     assert Episode.model_validate_json(said["episode_json"]).id == "00112233445566aa"
+
+
+def said_by(path):
+    with path.open("rb") as stream:
+        (record,) = make_reader(stream).iter_metadata()
+    return {key: record.metadata[key] for key in ("consent", "operator", "site", "purpose", "expires")}
+
+
+def test_metadata_says_whose_consent_a_recording_rests_on(tmp_path, episode, trace, attachments):
+    form = Consent(id="form-12", operator="ada", site="lab-2", purposes=("training", "review"),
+                   given=date(2026, 1, 1), expires=date(2026, 12, 31))
+    person = episode().model_copy(update={"consent": "form-12"})
+    for consent, site, purpose, expires in ((form, "lab-2", "training,review", "2026-12-31"), (None, *["unknown"] * 3)):
+        write_episode(tmp_path / "a.mcap", person, trace(), attachments=attachments, consent=consent)
+        assert said_by(tmp_path / "a.mcap") == {
+            "consent": "form-12", "operator": "ada" if consent else "operator-1", "site": site, "purpose": purpose,
+            "expires": expires}
+    with pytest.raises(RecordingError, match=r"refers to consent 'simulated', not to 'form-12'\n.*\n  mend: set "):
+        write_episode(tmp_path / "b.mcap", episode(), trace(), attachments=attachments, consent=form)
+
+
+def test_a_simulated_recording_says_so_and_names_nobody(tmp_path, episode, trace, attachments):
+    acted = tuple(s.model_copy(update={"kind": "demonstration", "actor": "expert"}) for s in episode().segments)
+    path = tmp_path / "a.mcap"
+    write_episode(path, episode().model_copy(update={"segments": acted}), trace(), attachments=attachments)
+    assert said_by(path) == {"operator": "expert"} | dict.fromkeys(("consent", "site", "purpose", "expires"), "simulated")
 
 
 def test_attachments_travel_with_the_file(recording, attachments):
