@@ -85,6 +85,14 @@ def test_images_of_changing_size_are_views_of_the_chunk(channel_of, batch_of):
     assert fields.texts["format"] == ["jpeg"] * 30
 
 
+def test_counts_behind_a_picture_are_looked_at_too(channel_of, batch_of):
+    channel = channel_of("p/msg/T", "uint8[] picture\nuint8[] mask\nstring[] s\nint32 x")
+    payloads = [b"\x00\x01\x00\x00" + struct.pack("<I4sI4sIi", 4, b"data", size, b"mask", 0, 7) for size in (1, 3, 4)]
+    fields = decoder(channel).decode(batch_of(channel, payloads))
+    assert [bytes(blob) for blob in fields.blobs["mask"]] == [b"m", b"mas", b"mask"]
+    assert fields.values["x"].tolist() == [7, 7, 7]
+
+
 @pytest.mark.parametrize(("payload", "reason"), [
     (b"", "nothing"),
     (b"\x00\x03\x00\x00" + bytes(8), "PL_CDR"),
