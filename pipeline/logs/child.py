@@ -37,7 +37,7 @@ class Limits:
 
     memory_bytes: int = 512 << 20
     """Address space, the interpreter's 130 MB included [B]."""
-    cpu_s: float = 4.0
+    cpu_s: float = 3.0
     """[s]"""
     wall_s: float = 30.0
     """Where a child waits for a disk or a busy machine [s]."""
@@ -51,7 +51,7 @@ class Limits:
             bytes_a_second: CPU time that each byte is worth; reading alone reaches 20 times the default.
         """
         size = path.stat().st_size if path.exists() else 0
-        return cls(cpu_s=4.0 + size / bytes_a_second, wall_s=30.0 + 4 * size / bytes_a_second)
+        return cls(cpu_s=3.0 + size / bytes_a_second, wall_s=30.0 + 4 * size / bytes_a_second)
 
 
 class Children:
@@ -100,12 +100,12 @@ class Children:
             self._free.put(child)
         return _value(answer, where, limits)
 
-    def map(self, function: Callable[..., Any], files: Sequence[Path]) -> Iterator[Any]:
-        """Run a function on the path of each file, one child a file; results in order, HardcaseErrors among them."""
+    def map(self, function: Callable[..., Any], files: Sequence[Path], *arguments: object) -> Iterator[Any]:
+        """Run a function on each file's path and what else it takes; results in order, HardcaseErrors among them."""
 
         def one(path: Path) -> Any:
             try:
-                return self.call(function, str(path), where=path)
+                return self.call(function, str(path), *arguments, where=path)
             except HardcaseError as error:
                 return error
 

@@ -131,6 +131,7 @@ class LogReader:
                 raise ends_early(tally.messages, tally.seconds, self.path)
             self._problems.add(f"ends early after message {tally.messages} (t = {tally.seconds:.2f} s): {section.end}",
                                source.offset, "damage")
+            self._unproven_data(section)
             return
         proof = check_summary(source, declared, tally, self._problems)
         if not section.crc:
@@ -139,11 +140,13 @@ class LogReader:
     def _unproven(self, section: Section, declared: Declared, proof: Proof) -> None:
         """Note what no CRC proves in a file without one over all of its data."""
         tally = section.tally
-        if tally.bare:
-            self._problems.add("chunks, messages or attachments without a CRC: damage would not be seen", 0,
-                               "unproven")
+        self._unproven_data(section)
         if not (proof.counts and proof.places):
             self._problems.add("no CRC over the data and no sound summary: missing data would not be seen", 0,
                                "unproven")
         if tally.metadata or (declared.outside and not (proof.crc and proof.declarations)):
             self._problems.add("metadata or channels without a CRC: damage would not be seen", 0, "unproven")
+
+    def _unproven_data(self, section: Section) -> None:
+        if section.tally.bare:
+            self._problems.add("chunks, messages or attachments without a CRC: damage would not be seen", 0, "unproven")
