@@ -69,10 +69,20 @@ class Signals:
 class LiveRobot(Robot, Protocol):
     """One robot in time, simulated or on a table, that people drive and that is recorded; its id is 0."""
 
-    name: str
-    signals: Signals
-    judge: Literal["simulator", "sensors", "operator"]
-    """Who says whether an attempt has succeeded: `succeeded` of a robot that a person judges is never true."""
+    @property
+    def name(self) -> str:
+        """What it is called."""
+        ...
+
+    @property
+    def signals(self) -> Signals:
+        """Its columns."""
+        ...
+
+    @property
+    def judge(self) -> Literal["simulator", "sensors", "operator"]:
+        """Who says whether an attempt has succeeded: `succeeded` of a robot that a person judges is never true."""
+        ...
 
     def connect(self) -> None:
         """Make it ready to perceive and act; RobotError says what is missing."""
@@ -137,11 +147,20 @@ class Command:
 class Teleoperator(Protocol):
     """A person's input device, read once a tick."""
 
-    name: str
-    raw_names: tuple[tuple[str, ...], tuple[str, ...]]
-    """Names of the raw axes and of the raw buttons."""
-    joints: tuple[str, ...]
-    """Joints that it gives targets for; empty for a device that gives axes."""
+    @property
+    def name(self) -> str:
+        """What it is called."""
+        ...
+
+    @property
+    def raw_names(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Names of the raw axes and of the raw buttons."""
+        ...
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Joints that it gives targets for; empty for a device that gives axes."""
+        ...
 
     def connect(self) -> None:
         """Open the device; RobotError says what is missing."""

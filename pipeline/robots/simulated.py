@@ -3,6 +3,8 @@
 # mujoco is a compiled package without type stubs: a compiled model has no type that a checker knows
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 
+from typing import Literal
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -51,7 +53,7 @@ class SimulatedRobot:
         if world.n != 1:
             raise ConfigError(f"a world of {world.n} attempts", where=f"robot {name}", mend="give a world of one")
         self.world, self.name, self.control_hz = world, name, world.control_hz
-        self.judge = "simulator" if judged else "sensors"
+        self.judge: Literal["simulator", "sensors"] = "simulator" if judged else "sensors"
         self._judge, self._pace, self._tracer = Judge(world.task), Pace(world.control_hz, speed=speed), Tracer(world)
         self._cameras, self._size, self._films = cameras, size, dict[str, FilmCamera]()
         self._seen, self._views = world.observe(_ONE), dict[str, NDArray[np.uint8]]()

@@ -1,0 +1,186 @@
+"""`hardcase teleop`: a session of a person with a robot, from the command line to episodes in the store."""
+
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from types import FrameType
+
+from flows import facts
+from flows.teleop_devices import Driven, TeleopOrder, open_device, open_policy, open_robot
+from flows.teleop_display import StatusLine, print_attempts
+from pipeline.consent import Consents
+from pipeline.errors import ConfigError, StoreError
+from pipeline.files import short_id
+from pipeline.protocols import Teleoperator
+from pipeline.recording.live import Closed
+from pipeline.robots.keyboard import HELP as KEYS
+from pipeline.robots.keyboard import Keyboard
+from pipeline.robots.with_keys import WithKeys
+from pipeline.store import Lease, RunInfo, Store
+from schemas.consent import NO_CONSENT
+from stages.teleop import Controls, Session, teleop
+
+FOLDER = "recordings"
+"""Where recordings grow, relative to the store's root; what a killed session left there, recover finds."""
+TELEOP = "teleop"
+"""Stands in the run's `control`, so that no loop takes a session for a run of its own."""
+
+
+class Stop:
+    """Whether somebody asked the session to end: by Ctrl-C, SIGTERM, or a connection that broke (SIGHUP)."""
+
+    def __init__(self) -> None:
+        self.asked = False
+
+    def __call__(self) -> bool:
+        """Whether it was asked for."""
+        return self.asked
+
+    def _ask(self, number: int, frame: FrameType | None) -> None:
+        if self.asked:  # the second time somebody means it: what was written stays for recover
+            raise KeyboardInterrupt
+        self.asked = True
+
+    @contextmanager
+    def listening(self) -> Iterator[None]:
+        """Take the signals while the body runs."""
+        numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        before = {number: signal.signal(number, self._ask) for number in numbers}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+
+def run_teleop(order: TeleopOrder, root: Path, *, as_json: bool = False) -> bool:
+    """Run a session and tell what became of every attempt.
+
+    Args:
+        order: what was asked for.
+        root: folder of the store; it is made where there is none.
+        as_json: print one JSON object instead of a table.
+
+    Returns:
+        Whether the session was interrupted.
+
+    Raises:
+        HardcaseError: a name, a device or the disk refuses; attempts that were finished are in the store.
+    """
+    attempts, stop = list[Closed](), Stop()
+    with Store.open(root, create=True) as store:
+        number = sum(info.control == TELEOP for info in store.runs().values())
+        run = short_id("teleop session", number)
+        with stop.listening(), store.lease(run) as lease:
+            _check_consent(order, store)
+            try:
+                _drive(order, store, lease, number, stop, attempts)
+            finally:
+                if as_json:
+                    _print_json(attempts)
+                elif attempts:
+                    print_attempts(attempts)
+    return stop.asked
+
+
+def _drive(order: TeleopOrder, store: Store, lease: Lease, number: int, stop: Stop, attempts: list[Closed]) -> None:
+    """Connect everything, run the attempts, and keep each as soon as it is whole."""
+    driven, device = open_robot(order, number), open_device(order)
+    policy, name, id = open_policy(order.policy, store) if order.policy else (None, "", None)
+    _check_fit(order, driven, device)
+    device = _with_keys(device)
+    with store.commit(lease, lease.run) as tx:
+        tx.add_run(_info(order, number))
+    line = StatusLine(driven.robot.signals, order.episodes, driven.robot.control_hz)
+    controls = Controls(device, driven.driver, driven.limits, policy, name, id)
+    session = Session(
+        operator=order.operator, consent=order.consent or NO_CONSENT, folder=store.root / FOLDER,
+        software=facts.software(), config=_config(order, device), number=number, episodes=order.episodes,
+        max_s=order.max_s, by_key=order.by_key, ask=_can_say_next(device), show=line.show, stop=stop)
+    with ExitStack() as stack:
+        stack.callback(driven.robot.disconnect)
+        driven.robot.connect()
+        stack.callback(device.disconnect)
+        device.connect()  # after the robot: its calibration may ask questions on the terminal
+        print(KEYS, file=sys.stderr, flush=True)
+        try:
+            for closed in teleop(driven.robot, controls, driven.scene_of, session):
+                attempts.append(closed)
+                keep(store, lease, closed)
+        finally:
+            line.end()
+
+
+def keep(store: Store, lease: Lease, closed: Closed) -> None:
+    """Move a recording into the store, and its episode into the catalog."""
+    store.put_blob(closed.path, move=True)
+    with store.commit(lease, lease.run) as tx:
+        tx.add_episodes([closed.episode])
+
+
+def _check_consent(order: TeleopOrder, store: Store) -> None:
+    """Refuse a record that is not there or is another person's; warn where none holds now."""
+    told = "recordings of this session are kept, and never used for training"
+    if order.consent is None:
+        print(f"no consent: {told} (--consent ID)", file=sys.stderr)
+        return
+    records = store.consents()
+    consent = records.get(order.consent)
+    if consent is None:
+        raise StoreError(f"consent {order.consent} is not in the store", where=f"--consent {order.consent}",
+                         mend="add it: hardcase consent add; or leave --consent away: nothing is learnt from it then")
+    if consent.operator != order.operator:
+        raise ConfigError(f"consent {consent.id} is of operator {consent.operator!r}",
+                          where=f"--operator {order.operator}", mend=f"--operator {consent.operator}")
+    flaw = Consents(records, datetime.now(UTC)).ends(consent)
+    if flaw is not None:
+        print(f"{flaw.reason}: {told}", file=sys.stderr)
+
+
+def _check_fit(order: TeleopOrder, driven: Driven, device: Teleoperator) -> None:
+    from pipeline.frames import ENVIRONMENT, STATE
+    from pipeline.robots.mapping import check_fit
+
+    check_fit(device, driven.robot.signals, driven.robot.name)
+    signals = driven.robot.signals
+    if order.policy and (signals.state, signals.environment) != (STATE, ENVIRONMENT):
+        raise ConfigError(f"robot {driven.robot.name!r} does not perceive what a policy looks at",
+                          where=f"--policy {order.policy}",
+                          mend=f"leave --policy away, or give the robot {', '.join(ENVIRONMENT)} in its observation")
+
+
+def _with_keys(device: Teleoperator) -> Teleoperator:
+    """The device, and beside it the keys of the session where there is a terminal."""
+    return WithKeys(device, Keyboard()) if not isinstance(device, Keyboard) and sys.stdin.isatty() else device
+
+
+def _can_say_next(device: Teleoperator) -> bool:
+    return isinstance(device, Keyboard | WithKeys) or device.name == "gamepad"
+
+
+def _info(order: TeleopOrder, number: int) -> RunInfo:
+    twin = int(order.robot.partition(":")[2]) if order.robot.startswith("twin:") else 0
+    recipe = {"robot": order.robot, "teleop": order.teleop, "policy": order.policy, "task": order.task,
+              "operator": order.operator, "consent": order.consent}
+    return RunInfo(recipe_name=TELEOP, recipe={k: v for k, v in recipe.items() if v is not None}, seed=number,
+                   twin=twin, control=TELEOP, command=" ".join(["hardcase", *sys.argv[1:]]), commit=facts.commit(),
+                   versions=facts.versions())
+
+
+def _config(order: TeleopOrder, device: Teleoperator) -> dict[str, object]:
+    """What was in force; keys of devices are left out: they can hold addresses and serial numbers."""
+    axes, buttons = device.raw_names
+    values = {k: v for k, v in asdict(order).items() if k not in ("robot_keys", "teleop_keys", "plugins")}
+    return {**values, "joy_axes": list(axes), "joy_buttons": list(buttons)}
+
+
+def _print_json(attempts: list[Closed]) -> None:
+    import json
+
+    found = [{**c.episode.model_dump(mode="json"), "dropped": dict(c.dropped)} for c in attempts]
+    print(json.dumps({"episodes": found}))
+

@@ -1,0 +1,272 @@
+"""Teleop: a person drives a robot, or takes over from a policy and gives it back; every attempt is recorded whole."""
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from pipeline.errors import HardcaseError, RecordingError, RobotError
+from pipeline.protocols import Array, Call, Command, LiveRobot, Observation, Policy, Teleoperator
+from pipeline.recording.live import Closed, LiveRecorder
+from pipeline.recording.live_header import beginning
+from pipeline.recording.live_rows import Row
+from pipeline.robots.limits import Guard, Limits
+from pipeline.robots.mapping import Driver, JointDriver
+from pipeline.simulation.recordings import episode_id
+from schemas.episode import Outcome
+from schemas.scene import SceneSpec
+
+type SceneOf = Callable[[int, Observation], SceneSpec]
+"""(attempt from 0, what the robot perceives before it) -> its start: made up in simulation, perceived elsewhere."""
+type Who = Literal["operator", "policy", "reset"]
+
+_ONE = np.arange(1)
+_ENDS: tuple[Call, ...] = ("success", "failure", "unknown", "quit")
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """What a person is shown at every tick."""
+
+    attempt: int
+    """From 1."""
+    seconds: float
+    """Length of the attempt so far; of the pause, between attempts [s]."""
+    who: Who
+    """Who commands; 'reset' between attempts, when nothing is recorded."""
+    observation: Observation
+    note: str
+    """What was wrong with the last command; empty where nothing was."""
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """What all attempts of a session share."""
+
+    operator: str
+    """The person's pseudonym."""
+    consent: str
+    """Id of the person's consent, or 'none'."""
+    folder: Path
+    """Where recordings are written."""
+    software: Mapping[str, str]
+    """Strings for each file's metadata."""
+    config: Mapping[str, object]
+    """What was in force, attached as config.json."""
+    number: int
+    """Sets this session apart from others with the same starts."""
+    episodes: int = 1
+    """How many attempts."""
+    max_s: float = 120.0
+    """Longest attempt [s]."""
+    by_key: bool = False
+    """Only the person ends an attempt, not the robot's belief in success."""
+    ask: bool = True
+    """Wait for 'next' before each attempt; the robot can be driven meanwhile, unrecorded, to reset it."""
+    show: Callable[[Status], None] = field(default=lambda status: None)
+    """Called at every tick."""
+    stop: Callable[[], bool] = field(default=lambda: False)
+    """Whether somebody wants the session to end now: the attempt is cut off and kept."""
+
+
+@dataclass(frozen=True, slots=True)
+class Controls:
+    """Who can command the robot, and what may be sent to it."""
+
+    device: Teleoperator
+    driver: Driver
+    limits: Limits
+    policy: Policy | None = None
+    policy_name: str = ""
+    """Id of the policy, or 'expert'; the actor of the autonomous segments."""
+    policy_id: str | None = None
+    """Id of the policy in the store; None for the expert."""
+
+
+def teleop(robot: LiveRobot, controls: Controls, scene_of: SceneOf, session: Session) -> Iterator[Closed]:
+    """Run attempts until all are done or the person quits; each is handed out as soon as its file is whole.
+
+    A robot, device or limit that fails ends its attempt, which is handed out with label 'unknown'; the error
+    follows. Robot and device are connected by the caller, and given back by it.
+
+    Args:
+        robot: what is driven.
+        controls: the person's device, and a policy that may be taken over from.
+        scene_of: the start of each attempt.
+        session: the rest.
+
+    Raises:
+        HardcaseError: see above, or the disk refuses; what was recorded before is kept.
+    """
+    for number in range(1, session.episodes + 1):
+        if not _reset(robot, controls, session, number):
+            return
+        scene = scene_of(number - 1, robot.observe(_ONE))
+        attempt = _Attempt(robot, controls, scene, session, number)
+        closed, error = attempt.run()
+        if closed is not None:
+            yield closed
+        if error is not None:
+            raise error
+        if attempt.last:
+            return
+
+
+class _Hand:
+    """Commands the robot through its guard."""
+
+    def __init__(self, robot: LiveRobot, controls: Controls) -> None:
+        self._robot, self._controls = robot, controls
+        self._guard: Guard | None = None
+        self.note = ""
+
+    def act(self, action: Array, observation: Observation) -> None:
+        """Send what may be sent of an action."""
+        driver = self._controls.driver
+        hold = driver.hold(observation)
+        if self._guard is None:
+            self._guard = Guard(self._robot.name, self._robot.signals, self._controls.limits, hold)
+        checked = self._guard.check(action, hold)
+        self.note = checked.note
+        self._robot.act(checked.action[None], _ONE)
+        if isinstance(driver, JointDriver):
+            driver.sent(checked.action)
+
+
+def _reset(robot: LiveRobot, controls: Controls, session: Session, number: int) -> bool:
+    """Let the person put everything back, until they say 'next'; False where they quit."""
+    if not session.ask:
+        return not session.stop()
+    hand, ticks = _Hand(robot, controls), 0
+    while not session.stop():
+        observation, command = robot.observe(_ONE), controls.device.read()
+        if "quit" in command.calls:
+            return False
+        if "next" in command.calls:
+            return True
+        hand.act(controls.driver.action(command, observation), observation)
+        session.show(Status(number, ticks / robot.control_hz, "reset", observation, hand.note))
+        ticks += 1
+    return False
+
+
+class _Attempt:
+    """One attempt from its start to its end, on its way into a file."""
+
+    def __init__(self, robot: LiveRobot, controls: Controls, scene: SceneSpec, session: Session, number: int) -> None:
+        self._robot, self._controls, self._session, self._number = robot, controls, session, number
+        self._hand = _Hand(robot, controls)
+        self._who: Who = "operator" if controls.policy is None else "policy"
+        self._phase, self._switch = "", False
+        self.last = False
+        kind, actor = self._party()
+        robot.begin(scene)
+        self._recorder = LiveRecorder(
+            session.folder / f"{(name := episode_id('teleop', scene, session.operator, session.number))}.mcap",
+            beginning(id=name, origin="teleop", scene=scene, control_hz=robot.control_hz, generation=0, kind=kind,
+                      actor=actor, policy=controls.policy_id, consent=session.consent),
+            attachments={**robot.attachments(), **_attached(session, scene)}, software=session.software,
+            layout=robot.layout())
+        if controls.policy is not None:
+            controls.policy.reset(1)
+
+    def _party(self) -> tuple[str, str]:
+        """Kind and actor of a segment of whoever commands."""
+        if self._who == "policy":
+            return "autonomous", self._controls.policy_name
+        return "demonstration" if self._controls.policy is None else "intervention", self._session.operator
+
+    def run(self) -> tuple[Closed | None, HardcaseError | None]:
+        """The finished recording, and what broke it off, if anything did."""
+        outcome, failure, tick = None, None, 0
+        with self._recorder as recorder:
+            try:
+                while outcome is None:
+                    outcome = self._tick(tick)
+                    tick += 1
+            except RobotError as error:
+                failure = error
+                outcome = Outcome(label="unknown", judged_by="operator", reason=f"cut off: {error.what}")
+            if recorder.frames == 0:
+                with suppress(RecordingError):  # nothing was recorded: the empty file goes
+                    recorder.close()
+                return None, failure
+            return recorder.close(outcome), failure
+
+    def _tick(self, tick: int) -> Outcome | None:
+        robot, recorder = self._robot, self._recorder
+        observation, command = robot.observe(_ONE), self._controls.device.read()
+        self._switch_over(command, tick)
+        action = self._action(command, observation)
+        recorder.joy(list(command.raw_axes), list(command.raw_buttons), tick=tick)
+        for camera, picture in robot.pictures().items():
+            recorder.image(camera, picture, tick=tick)
+        if (phase := robot.phase()) != self._phase:
+            recorder.phase(phase, tick=tick)
+            self._phase = phase
+        noted = self._hand.note
+        self._hand.act(action, observation)
+        if self._hand.note and self._hand.note != noted:
+            recorder.event("limit", self._hand.note, level=30, tick=tick)
+        recorder.tick(tick, self._row())
+        self._session.show(Status(self._number, (tick + 1) / robot.control_hz, self._who, observation, self._hand.note))
+        return self._ended(command, tick)
+
+    def _switch_over(self, command: Command, tick: int) -> None:
+        """Let somebody else command from this tick on, if the person says so."""
+        policy = self._controls.policy
+        if policy is None:
+            return
+        held = command.intervening
+        flips = held is not None and held != self._switch
+        self._switch = bool(held)
+        if flips:
+            wanted: Who = "operator" if held else "policy"
+        elif "take-over" in command.calls:
+            wanted = "operator" if self._who == "policy" else "policy"
+        else:
+            return
+        if wanted == self._who:
+            return
+        self._who = wanted
+        if wanted == "policy":
+            policy.reset(1)  # what it planned before belongs to another course of events
+        kind, actor = self._party()
+        self._recorder.segment(kind, actor, tick=tick)
+
+    def _action(self, command: Command, observation: Observation) -> Array:
+        if self._who == "policy" and self._controls.policy is not None:
+            return self._controls.policy.act(observation, _ONE)[0]
+        return self._controls.driver.action(command, observation)
+
+    def _row(self) -> Row | Array:
+        """The robot's row; what the policy remembers is part of what a restore needs."""
+        row, policy = self._robot.row(), self._controls.policy
+        if policy is None or not isinstance(row, Row) or not len(row.sim_state):
+            return row
+        return replace(row, controller=np.concatenate([row.controller, policy.memory(_ONE)[0]]))
+
+    def _ended(self, command: Command, tick: int) -> Outcome | None:
+        """How the attempt has ended; None while it goes on."""
+        self.last = "quit" in command.calls or self._session.stop()
+        for label in ("success", "failure"):
+            if label in command.calls:
+                return Outcome(label=label, judged_by="operator")
+        if not self._session.by_key and self._robot.succeeded():
+            return Outcome(label="success", judged_by=self._robot.judge)
+        if self._session.stop() or self._recorder.failed:  # what the disk refused, `close` says
+            return Outcome(label="unknown", judged_by="operator", reason="cut off: interrupted")
+        if any(call in command.calls for call in _ENDS):
+            return Outcome(label="unknown", judged_by="operator", reason="the operator gave no label")
+        if (tick + 1) / self._robot.control_hz >= self._session.max_s:
+            return Outcome(label="unknown", judged_by="operator", reason=f"time is up after {self._session.max_s:g} s")
+        return None
+
+
+def _attached(session: Session, scene: SceneSpec) -> dict[str, bytes]:
+    return {"config.json": json.dumps(dict(session.config), sort_keys=True).encode(),
+            "randomization.json": json.dumps([d.model_dump() for d in scene.draws]).encode()}
