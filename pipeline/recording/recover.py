@@ -2,17 +2,16 @@
 
 import fcntl
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.errors import RecordingError
 from pipeline.files import atomic, sync_folder
+from pipeline.recording.quarantine import QUARANTINE, set_aside
 from pipeline.recording.read import open_recording
 from pipeline.recording.scan import reading
 from pipeline.recording.write import Recording, encode, named
-
-QUARANTINE = "quarantine"
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,21 +27,26 @@ class Recovered:
     """Why it is shorter than it was, or why it was quarantined; empty where nothing is missing."""
 
 
-def recover(folder: Path) -> list[Recovered]:
+def recover(folder: Path, *, gate: Callable[[Path], object] | None = None) -> list[Recovered]:
     """Deal with every leftover NAME.mcap.part below `folder`; call it at start-up.
 
     A file that only missed its rename gets its name. One that ends early is written again as a valid file
     with its whole ticks, outcome 'unknown' and `truncated` in its metadata. Anything else goes to the folder
     quarantine/ beside it, with NAME.mcap.part.reason.txt. A .part that a living process writes is left alone.
 
+    Args:
+        folder: where to look, folders below it too.
+        gate: looks at each file first and raises RecordingError for one that must not be opened here, such as
+            pipeline.logs.inspection.inspect where others may have put files.
+
     Raises:
         RecordingError: the disk is full or refuses.
     """
     return [done for part in sorted(folder.rglob("*.mcap.part")) if QUARANTINE not in part.parts
-            and part.is_file() and (done := _recover_one(part))]
+            and part.is_file() and (done := _recover_one(part, gate))]
 
 
-def _recover_one(part: Path) -> Recovered | None:
+def _recover_one(part: Path, gate: Callable[[Path], object] | None) -> Recovered | None:
     final = part.with_name(part.name.removesuffix(".part"))
     with part.open("rb") as stream, reading(part, "leftover recording"):
         try:
@@ -52,6 +56,8 @@ def _recover_one(part: Path) -> Recovered | None:
         if final.exists():
             return _quarantine(part, f"{final.name} is already there, whole")
         try:
+            if gate:
+                gate(part)
             opened = open_recording(part, accept_truncated=True)
             if opened.lost is None:
                 os.fsync(stream.fileno())
@@ -75,12 +81,5 @@ def _software(strings: Mapping[str, str]) -> dict[str, str]:
 
 
 def _quarantine(part: Path, reason: str) -> Recovered:
-    """Move a .part aside, its reason beside it."""
-    folder = part.parent / QUARANTINE
-    folder.mkdir(exist_ok=True)
-    name, number = part.name, 1
-    while (folder / name).exists():
-        name, number = f"{part.name}.{number}", number + 1
-    (folder / f"{name}.reason.txt").write_text(reason + "\n")
-    part.replace(folder / name)
+    set_aside(part, reason)
     return Recovered(part, None, 0, reason)
