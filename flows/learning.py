@@ -66,6 +66,8 @@ def built(run: ArmRun, generation: int) -> Made:
     """The dataset version of everything so far."""
     parent = run.material.version(generation - 1) if generation else None
     consents, everything = run.material.consents(), run.material.episodes(generation)
+    if "teleop" in run.recipe.dataset.sources:
+        everything += run.material.driven(run.recipe)
     standing = consents.standing(everything)
     version = build(standing, run.material.frames, run.recipe, store=run.store.root,
                     task=load_task(run.recipe.task).instruction, generation=generation, parent=parent,

@@ -15,6 +15,7 @@ from pipeline.trace import Trace
 from pipeline.triggers import stratum_of
 from schemas.dataset import DatasetVersion
 from schemas.episode import VARIANTS, Episode
+from schemas.recipe import Recipe
 
 NEEDS: Mapping[str, tuple[str, ...]] = {
     "augment": ("collect",), "build": ("augment",), "train": ("build",), "gate": ("train",), "release": ("gate",),
@@ -68,6 +69,17 @@ class Material:
             found += self.fresh(g)
             found += self._store.episodes(self.ids(g, "augment"))
         return found + self.ancestors(found)
+
+    def driven(self, recipe: Recipe) -> list[Episode]:
+        """Attempts of this store that people drove on the recipe's robot and task, at its rate, and that may teach now.
+
+        They belong to no lap: whoever asks for them in dataset.sources gets all that there are. An attempt that
+        nobody but a policy drove teaches nothing; one without a consent that holds is kept, and left out here.
+        """
+        consents, hz = self.consents(), self.fresh(0)[0].control_hz
+        return [e for e in self._store.episodes(origin="teleop")
+                if (e.scene.robot, e.scene.task, e.control_hz) == (recipe.robot, recipe.task, hz)
+                and any(s.kind != "autonomous" for s in e.segments) and consents.flaw(e) is None]
 
     def ancestors(self, episodes: Iterable[Episode]) -> list[Episode]:
         """What these episodes were made from, through any number of steps, without themselves."""
