@@ -50,12 +50,15 @@ def recover_recordings(folder: Path | None, *, as_json: bool) -> str:
     Raises:
         RecordingError: no such folder, or the disk refuses.
     """
+    from pipeline.logs.child import Children
+    from pipeline.logs.inspection import inspect
     from pipeline.recording.recover import recover
 
     root = folder or store_root()
     if not root.is_dir():
         raise RecordingError("no such folder", where=root, mend="name the folder that holds NAME.mcap.part")
-    done = recover(root)
+    with Children() as children:  # the folder may come from anywhere
+        done = recover(root, gate=lambda part: inspect(part, accept_truncated=True, children=children))
     if as_json:
         facts = [
             {"part": str(r.part), "kept": str(r.kept) if r.kept else None, "frames": r.frames, "reason": r.reason}
