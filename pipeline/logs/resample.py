@@ -35,9 +35,10 @@ class Picks:
     """Whether there is a sample within the limit, shape (n,); the other columns mean nothing where there is none."""
 
 
-def ticks(start_ns: int, frames: int, fps: int) -> Stamps:
-    """Times of frames 0, 1, 2, ... [ns], rounded half up, so that none drifts; shape (frames,)."""
-    return start_ns + (np.arange(frames, dtype=np.int64) * NS + fps // 2) // fps
+def ticks(start_ns: int, first: int, stop: int, fps: int) -> Stamps:
+    """Times of frames `first` to before `stop` of an episode [ns], each rounded half up, so that none drifts."""
+    frames = np.arange(first, stop, dtype=np.int64)
+    return start_ns + frames // fps * NS + (frames % fps * NS + fps // 2) // fps
 
 
 def frames_until(start_ns: int, stop_ns: int, fps: int) -> int:

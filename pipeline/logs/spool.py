@@ -143,10 +143,25 @@ class Samples:
             places += self._read_stamps(self.first + block * BLOCK, BLOCK).searchsorted(ticks, "right")
         return places
 
-    def after(self, start_ns: int, stop_ns: int) -> Stamps:
-        """All stamps from `start_ns` on and before `stop_ns`."""
-        low, high = (self.before(np.array([start_ns - 1, stop_ns - 1], np.int64)) + 1).tolist()
-        return self._read_stamps(low, high - low)
+    def next_from(self, time_ns: int) -> int | None:
+        """The first stamp at or after a time [ns]."""
+        place = int(self.before(np.array([time_ns - 1], np.int64))[0]) + 1
+        return int(self._read_stamps(place, 1)[0]) if place < self.end else None
+
+    def runs(self, gap_ns: int) -> NDArray[np.int64]:
+        """First and last stamp of every run without a gap longer than `gap_ns`, shape (runs, 2)."""
+        edges: list[Stamps] = []
+        previous = np.zeros(0, np.int64)
+        for place in range(self.first, self.end, BLOCK):
+            stamps = self._read_stamps(place, BLOCK)
+            joined = np.append(previous, stamps)
+            cut = np.flatnonzero(np.diff(joined) > gap_ns)
+            edges.append(np.stack([joined[cut], joined[cut + 1]], axis=1).reshape(-1))
+            previous = stamps[-1:]
+        if not len(self):
+            return np.zeros((0, 2), np.int64)
+        first, last = self.span
+        return np.concatenate([np.array([first], np.int64), *edges, np.array([last], np.int64)]).reshape(-1, 2)
 
     def stamps(self, places: Places) -> Stamps:
         """Stamps at places that do not fall, shape (n,)."""

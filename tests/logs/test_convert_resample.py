@@ -89,7 +89,7 @@ def test_a_latched_sample_at_0_is_no_sample_of_a_log_of_today_but_one_of_a_clock
 
 
 def test_frames_stand_on_an_even_clock_that_does_not_drift():
-    at = ticks(7, 3_000_001, 30)
+    at = ticks(7, 0, 3_000_001, 30)
     assert at[-1] - 7 == 100_000 * 10**9
     assert set(np.diff(at).tolist()) == {33_333_333, 33_333_334}
     assert frames_until(7, int(at[-1]), 30) == 3_000_001
