@@ -7,8 +7,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+import typer.main
+from typer.exceptions import TyperException
 
 from flows.cli_recordings import commands as recordings
+from flows.wrong_words import PROGRAM, refusal, with_help
 from pipeline.errors import ConfigError, HardcaseError
 
 REFUSED, INTERRUPTED = 2, 130
@@ -33,8 +36,11 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")
 
 def main() -> None:
     """Run the command line; every refusal is what / at / mend on stderr and exit code 2, without a traceback."""
+    words, root = sys.argv[1:], typer.main.get_command(app)
     try:
-        app()
+        sys.exit(root.main(with_help(root, words), prog_name=PROGRAM, standalone_mode=False))
+    except TyperException as error:
+        _refuse(refusal(root, words, error))
     except HardcaseError as error:
         _refuse(error)
     except KeyboardInterrupt:

@@ -72,12 +72,38 @@ def test_an_unknown_name_in_a_recipe_lists_the_valid_ones(hardcase, tmp_path, fi
     assert "mend: use one of: " in done.stderr
 
 
-@pytest.mark.parametrize("arguments", [("loop", "--generations", "-1"), ("loop", "--seed", "x"), ("nonsense",)])
-def test_wrong_options_are_refused_before_anything_starts(hardcase, arguments, tmp_path):
+@pytest.mark.parametrize(
+    ("arguments", "what", "mend"),
+    [
+        (("loop", "--generations", "-1"), "invalid value for '--generations': Input should be greater than or equal to"
+         " 0", "every option: hardcase loop --help"),
+        (("loop", "--seed", "x"), "invalid value for '--seed'", "for example: hardcase loop --generations 3"),
+        (("loop", "--generatons", "1"), "no such option: --generatons", "possible options: --generations"),
+        (("loop", "--recipe"), "option '--recipe' requires an argument", "every option: hardcase loop --help"),
+        (("loop", "smoke"), "got unexpected extra argument(s) (smoke)", "every option: hardcase loop --help"),
+        (("why",), "missing argument 'id'", "for example: hardcase why 3f9a1c2b"),
+        (("lop",), "no such command 'lop'", "did you mean 'loop'?"),
+        (("nonsense",), "no such command 'nonsense'", "every command: hardcase --help"),
+        (("consent", "ad"), "no such command 'ad'", "did you mean 'add'?"),
+        (("consent", "add", "--site", "x"), "missing option '--operator'", "hardcase consent add --operator ada"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
+)
+def test_wrong_words_are_refused_in_three_lines_before_anything_starts(hardcase, arguments, what, mend, tmp_path):
     done = hardcase(*arguments)
-    assert done.returncode == 2
-    assert "Traceback" not in done.stderr
+    assert (done.returncode, done.stdout) == (2, "")
+    first, at, last = done.stderr.splitlines()
+    assert first.startswith(what)
+    assert at == f"  at:   hardcase {' '.join(arguments)}"
+    assert last.startswith("  mend: ") and mend in last
     assert not (tmp_path / "store").exists()
+
+
+@pytest.mark.parametrize("arguments", [(), ("consent",)], ids=["hardcase", "a group"])
+def test_without_a_command_the_help_is_shown(hardcase, arguments):
+    done = hardcase(*arguments)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "Usage: hardcase" in done.stdout and "Commands" in done.stdout
 
 
 def test_doctor_speaks_json_and_knows_every_part(hardcase):
