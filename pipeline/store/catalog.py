@@ -86,6 +86,13 @@ MIGRATIONS: tuple[str, ...] = (
         consent TEXT PRIMARY KEY REFERENCES consent (id), json TEXT NOT NULL
     ) STRICT;
     """,
+    """
+    CREATE TABLE checked (
+        place INTEGER PRIMARY KEY, id TEXT NOT NULL UNIQUE, subject TEXT NOT NULL, passed INTEGER NOT NULL,
+        contract TEXT NOT NULL, code TEXT NOT NULL, json TEXT NOT NULL
+    ) STRICT;
+    CREATE INDEX checked_subject ON checked (subject);
+    """,
 )
 """Migration k brings a catalog from schema k to k + 1. Never edit one that was released; append."""
 

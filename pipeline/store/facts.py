@@ -23,6 +23,15 @@ def made(store: Reader, kind: str, id: str) -> dict[str, str]:
     return {}
 
 
+def checked(store: Reader, subject: str | None) -> dict[str, str]:
+    """The last verdict of the checks on a recording or dataset, by which contract and code."""
+    verdict = store.checks([subject]).get(subject) if subject else None
+    if verdict is None:
+        return {}
+    told = "passed" if verdict.passed else f"FAILED: {verdict.reason}"
+    return {"check": f"{told}; {len(verdict.checks)} checks, contract {verdict.contract[:12]}, code {verdict.code[:12]}"}
+
+
 def codes(store: Reader, ids: list[str]) -> str:
     """Code hashes of the steps that added some episodes, by stage and generation."""
     rows = store.query(

@@ -8,7 +8,7 @@ from typing import Literal
 from pydantic import Field
 
 from pipeline.files import sha256
-from pipeline.store.facts import codes, draw_ranges, made, outcome, releases, some, unit_of, users
+from pipeline.store.facts import checked, codes, draw_ranges, made, outcome, releases, some, unit_of, users
 from pipeline.store.reader import Reader
 from pipeline.store.records import RunInfo
 from schemas.base import Frozen
@@ -89,6 +89,7 @@ def _version(store: Reader, id: str, full: bool, role: str = "") -> Lineage:
         "weights": ", ".join(f"{name} {share:g}" for name, share in v.weights.items()),
         "inputs": some([b if full else b[:12] for b in v.inputs], full),
         "folder": v.path, **made(store, "version", id), **({"parent": v.parent} if v.parent else {}),
+        **checked(store, v.digest),
     }  # fmt: skip
     groups = [_group(store, origin, members, full) for origin, members in by_origin.items()]
     return Lineage(kind="version", id=id, role=role, facts=facts, children=tuple(groups))
@@ -143,7 +144,7 @@ def _episode(store: Reader, id: str, full: bool, role: str = "", forward: bool =
     children = [_hard_case_line(store, c.id) for c in cases]
     if e.parent:
         children.append(_episode(store, e.parent, full, "parent", forward=False))
-    facts = node.facts | made(store, "episode", id)
+    facts = node.facts | made(store, "episode", id) | checked(store, e.blob)
     if forward:
         children += _runs(store, "episode", id, full)
         facts |= users(store, id, full)

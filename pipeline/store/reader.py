@@ -6,6 +6,7 @@ from json import dumps
 
 from pipeline.errors import StoreError
 from pipeline.store.catalog import Catalog
+from pipeline.store.checks import check_history, checks_of
 from pipeline.store.consents import consents, unknown_consent
 from pipeline.store.folder import check_id, check_prefix
 from pipeline.store.records import RunInfo, StepManifest
@@ -13,6 +14,7 @@ from schemas.base import Frozen
 from schemas.consent import Consent
 from schemas.dataset import DatasetVersion
 from schemas.episode import Episode
+from schemas.finding import CheckVerdict
 from schemas.hardcase import HardCase
 from schemas.policy import PolicyRecord
 from schemas.release import Release
@@ -156,6 +158,14 @@ class Reader:
         if found is None:
             raise unknown_consent(self._catalog, id)
         return found
+
+    def checks(self, subjects: Iterable[str]) -> dict[str, CheckVerdict]:
+        """Hash of a recording or dataset -> the last verdict on it, for those that were checked."""
+        return checks_of(self._catalog, subjects)
+
+    def check_history(self, subject: str) -> list[CheckVerdict]:
+        """Every verdict on a recording or dataset, the last one last."""
+        return check_history(self._catalog, subject)
 
     def query(self, sql: str, parameters: tuple[object, ...] = ()) -> list[tuple[object, ...]]:
         """Rows of the catalog; for lineage, garbage and reports, which ask across tables. Reading only."""

@@ -13,6 +13,7 @@ from pipeline.files import sha256_file
 from pipeline.store import lease as leases
 from pipeline.store.blobs import Blobs
 from pipeline.store.catalog import Catalog
+from pipeline.store.checks import add_check
 from pipeline.store.consents import add_consent, revoke_consent
 from pipeline.store.folder import (
     RESERVE_MB,
@@ -30,6 +31,7 @@ from pipeline.store.process import Holder
 from pipeline.store.reader import Reader
 from pipeline.store.transaction import Transaction
 from schemas.consent import Consent
+from schemas.finding import CheckVerdict
 
 WAITING = 8
 """Blobs written at once: the file system commits their fsyncs together."""
@@ -154,6 +156,10 @@ class Store(Reader):
     def revoke_consent(self, id: str, at: datetime) -> Consent:
         """Note that a person took their consent back at this moment; the record as it is from now on."""
         return revoke_consent(self._catalog, id, at)
+
+    def add_check(self, verdict: CheckVerdict) -> None:
+        """Keep what the checks found; it belongs to no run and needs no lease."""
+        add_check(self._catalog, verdict)
 
     @contextmanager
     def exclusive(self) -> Generator[None]:

@@ -1,0 +1,215 @@
+"""Contracts: read from YAML, completed by what the data says of itself, or written from a good log."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import yaml
+
+from pipeline.check.cameras import fingerprint
+from pipeline.check.motion import unit_of
+from pipeline.check.signals import Column, Signals, Subject
+from pipeline.documents import load_document
+from pipeline.frames import ACTION, ENVIRONMENT, FEATURES, STATE
+from pipeline.recording.dialect import FRAME_TOPICS, topic_type
+from pipeline.simulation.tasks import TASKS
+from schemas.contract import CameraRule, Contract, Evaluation, Limit, Pair, Success, TopicRule
+
+EXAMPLE = "see docs/check.md, or write one from a good log: hardcase check LOG --init"
+STEPS = {"ee_x": "dx", "ee_y": "dy", "ee_z": "dz", "ee_yaw": "dyaw"}
+PAIRS = (
+    Pair(measured="/joint_states.position", commanded="/joint_commands.position"),
+    Pair(measured="/ee/measured.data", commanded="/command/ee.data", kind="step", columns=STEPS),
+    Pair(measured="observation.state", commanded="action.joint"),
+    Pair(measured="observation.state", commanded="action", kind="step", columns=STEPS),
+    Pair(measured="observation.state", commanded="action"),
+)
+"""What follows what, in our recordings and versions and in any dataset whose state and action share names."""
+MAX_URDF = 4 << 20
+URDF_SPEEDLESS = 1e5
+"""Velocity limits from here on stand for none [rad/s, m/s]; see pipeline.simulation.urdf.UNLIMITED."""
+
+
+def load_contract(file: Path) -> Contract:
+    """A contract from a YAML file.
+
+    Raises:
+        ConfigError: no such file, not YAML, or a value that breaks a rule.
+    """
+    return load_document(file, Contract, kind="a contract", example=EXAMPLE)
+
+
+def completed(contract: Contract, subject: Subject) -> Contract:
+    """The contract with what the data says of itself, wherever the contract says nothing."""
+    if not subject.recordings:
+        return contract
+    first = subject.recordings[0]
+    found: dict[str, Any] = {}
+    if not contract.motion:
+        found["motion"] = _pairs(first)
+    if not contract.topics and first.episode is not None:
+        found["topics"] = _dialect(first.episode.control_hz, first)
+    if not contract.limits:
+        found["limits"] = _limits(first)
+    if contract.success is None and (success := _success(subject)) is not None:
+        found["success"] = success
+    if contract.evaluation is None and (evaluation := _evaluation(subject)) is not None:
+        found["evaluation"] = evaluation
+    return contract.model_copy(update=found)
+
+
+def _pairs(signals: Signals) -> tuple[Pair, ...]:
+    """Those of PAIRS that this recording has; a dataset's joint targets, if it has them, instead of its action."""
+    there = [p for p in PAIRS if signals.find(p.measured) and (found := signals.find(p.commanded))
+             and (not p.columns or set(p.columns.values()) <= set(found[2].names))]
+    return tuple(p for p in there if p.columns or p.commanded != "action" or len(there) == 1)
+
+
+def _dialect(hz: float, signals: Signals) -> dict[str, TopicRule]:
+    """What every recording of ours has; one of another robot has the joints alone."""
+    names = FRAME_TOPICS if "/command/ee" in signals.topics else ("/joint_states", "/joint_commands")
+    return {name: TopicRule(type=topic_type(name), rate_hz=hz) for name in names}
+
+
+def _limits(signals: Signals) -> dict[str, dict[str, Limit]]:
+    """Joint limits out of an attached URDF, for the columns that are named as its joints; units where they are known."""
+    joints = urdf_limits(signals.attachments.get("robot.urdf", b""))
+    found: dict[str, dict[str, Limit]] = {}
+    for reference, _, column in signals.numbers():
+        if reference.endswith(("joint_states.position", "joint_commands.position")):
+            found[reference] = {n: joints.get(n, Limit(unit=unit_of(n, Contract(), reference))) for n in column.names}
+        elif reference in FEATURES and column.names == FEATURES[reference] and reference != "action":
+            found[reference] = {n: Limit(unit="rad" if "joint" in n or "yaw" in n else "m") for n in column.names}
+    return {reference: limits for reference, limits in found.items() if limits}
+
+
+def urdf_limits(urdf: bytes) -> dict[str, Limit]:
+    """Joint -> limits of a URDF; none where it is no URDF. Document types, which can blow up, are refused."""
+    if not urdf or len(urdf) > MAX_URDF or b"<!DOCTYPE" in urdf or b"<!ENTITY" in urdf:
+        return {}
+    try:
+        root = ET.fromstring(urdf)  # noqa: S314  without a document type there is nothing to expand
+    except (ET.ParseError, ValueError):
+        return {}
+    found: dict[str, Limit] = {}
+    for joint in root.iter("joint"):
+        kind, name, limit = joint.get("type"), joint.get("name"), joint.find("limit")
+        if name and kind in ("revolute", "prismatic") and limit is not None:
+            low, high, speed = (_number(limit.get(k)) for k in ("lower", "upper", "velocity"))
+            if low is not None and high is not None and low < high:
+                found[name] = Limit(low=low, high=high, unit="rad" if kind == "revolute" else "m",
+                                    speed=speed if speed is not None and 0 < speed < URDF_SPEEDLESS else None)
+    return found
+
+
+def _number(text: str | None) -> float | None:
+    try:
+        value = float(text or "")
+    except ValueError:
+        return None
+    return value if np.isfinite(value) else None
+
+
+def _success(subject: Subject) -> Success | None:
+    """The predicate of the task that the data names."""
+    first = subject.recordings[0]
+    named = first.episode.scene.task if first.episode is not None else None
+    if subject.tables is not None:
+        named = subject.tables.manifest.get("recipe", {}).get("task")
+    task = TASKS.get(str(named))
+    return None if task is None else Success(within_m=task.within_m, away_m=task.hand_away_m, open_m=task.open_m,
+                                             low_m=task.on_table_m, hold_ticks=task.hold_ticks)
+
+
+def _evaluation(subject: Subject) -> Evaluation | None:
+    """The task that one of our versions was built for: that of its recipe, with the environment's features."""
+    if subject.tables is None or not (recipe := subject.tables.manifest.get("recipe")):
+        return None
+    if recipe.get("task") not in TASKS or "action" not in subject.tables.frames:
+        return None
+    reach = (0.02, 0.02, 0.02, 0.12)
+    features = {name: FEATURES[name] for name in ("observation.state", "observation.environment_state", "action")}
+    return Evaluation(robot=recipe.get("robot"), task=recipe.get("task"), control_hz=20.0, features=features,
+                      action_low=(*(-x for x in reach), 0.0), action_high=(*reach, 0.08))
+
+
+def from_log(subject: Subject, *, name: str = "default") -> Contract:
+    """A contract that a good log keeps, with room for what the next good log does otherwise.
+
+    Rates are those seen, gaps and jitter twice what was seen, limits what was seen and a tenth of its range,
+    speeds half as much again; cameras get their fingerprint. Offsets between clocks are not taken over.
+    """
+    own = completed(Contract(name=name), subject)
+    topics: dict[str, TopicRule] = {}
+    cameras: dict[str, CameraRule] = {}
+    limits: dict[str, dict[str, Limit]] = {}
+    for signals in subject.recordings:
+        for topic in signals.topics.values():
+            topics.setdefault(topic.name, _rule(signals, topic.name))
+        for camera in signals.cameras.values():
+            if len(camera.thumbs):
+                cameras.setdefault(camera.name, CameraRule(width=camera.size[0] or None, height=camera.size[1] or None,
+                                                           fingerprint=fingerprint(camera)))
+    for pair in own.motion:
+        for reference in (pair.measured, pair.commanded) if pair.kind == "target" else ():
+            seen = [(s, f[0].seconds, f[2]) for s in subject.recordings if (f := s.find(reference)) is not None]
+            if seen:
+                limits[reference] = _seen(reference, [(t, c) for _, t, c in seen], own.limits.get(reference, {}))
+    evaluation = own.evaluation or _same_as(subject)
+    return own.model_copy(update={"topics": topics, "cameras": cameras, "limits": limits, "evaluation": evaluation})
+
+
+def _rule(signals: Signals, name: str) -> TopicRule:
+    topic = signals.topics[name]
+    if not topic.steady or topic.tabled:
+        return TopicRule(type=topic.type or None, required=topic.tabled or name in FRAME_TOPICS)
+    steps = np.diff(topic.log_ns) / 1e9
+    off = float(np.quantile(np.abs(steps - topic.period_s), 0.95))
+    span = (int(topic.log_ns[-1]) - int(topic.log_ns[0])) / 1e9
+    return TopicRule(type=topic.type or None, rate_hz=_tidy((len(topic) - 1) / span),
+                     max_gap_s=_tidy(max(2 * float(steps.max()), 3 * topic.period_s)),
+                     jitter_s=_tidy(max(2 * off, topic.period_s / 4)),
+                     required=not name.startswith(("/policy/", "/reward/")))
+
+
+def _seen(reference: str, seen: list[tuple[np.ndarray, Column]], known: Mapping[str, Limit]) -> dict[str, Limit]:
+    names = seen[0][1].names
+    found: dict[str, Limit] = {}
+    for k, column in enumerate(names):
+        values = [c.rows[:, k] for _, c in seen if c.names == names]
+        low, high = min(float(np.nanmin(v)) for v in values), max(float(np.nanmax(v)) for v in values)
+        room = max(0.1 * (high - low), 1e-3)
+        steps = [np.abs(np.diff(c.rows[:, k])) / np.maximum(np.diff(t), 1e-9) for t, c in seen if c.names == names]
+        speed = max((float(np.nanmax(s)) for s in steps if s.size), default=0.0)
+        given = known.get(column, Limit())
+        found[column] = Limit(
+            low=_tidy(low - room) if given.low is None else given.low,
+            high=_tidy(high + room) if given.high is None else given.high,
+            speed=given.speed or (_tidy(1.5 * speed) if speed > 0 else None),
+            unit=given.unit or unit_of(column, Contract(), reference))
+    return found
+
+
+def _same_as(subject: Subject) -> Evaluation | None:
+    """Robot, task and rate as the log names them."""
+    record = subject.recordings[0].metadata.get("episode", {}) if subject.recordings else {}
+    hz = _number(record.get("control_hz"))
+    if not record.get("robot"):
+        return None
+    return Evaluation(robot=record["robot"], task=record.get("task"), control_hz=hz)
+
+
+def _tidy(value: float) -> float:
+    """Four digits: nobody needs more of a limit."""
+    return float(f"{value:.4g}")
+
+
+def to_yaml(contract: Contract) -> str:
+    """The contract as a person edits it: what is at its default is left out."""
+    content = contract.model_dump(mode="json", exclude_defaults=True)
+    return yaml.safe_dump({"name": contract.name, **content}, sort_keys=False, allow_unicode=True, width=120)
+
+
+__all__ = ["ACTION", "ENVIRONMENT", "STATE", "completed", "from_log", "load_contract", "to_yaml", "urdf_limits"]

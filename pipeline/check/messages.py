@@ -1,0 +1,105 @@
+"""Messages that are missing or there twice, topics that are missing or fall silent, files that do not hold together."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from pipeline.check.signals import Signals, Topic
+from schemas.contract import Contract
+from schemas.finding import Finding
+
+COMMON_STEP = 0.8
+"""Share of equal steps from which on a running number is believed to run evenly."""
+
+
+def sequence(signals: Signals, contract: Contract) -> Iterator[Finding]:
+    """Running numbers: one that is left out is a lost message, one that returns is there twice."""
+    for topic in signals.topics.values():
+        if topic.sequence is None or topic.tabled or not topic.steady or not topic.sequence.any():
+            continue
+        steps = np.diff(topic.sequence)
+        common, share = _common(steps)
+        twice = np.flatnonzero(steps == 0)
+        if twice.size:
+            yield _repeated(signals, topic, int(twice[0]), int(twice.size))
+        elif (back := np.flatnonzero(steps < 0)).size:
+            k = int(back[0]) + 1
+            yield Finding(check="sequence", what=f"message {k} has number {topic.sequence[k]}, the one before "
+                          f"{topic.sequence[k - 1]}", where=topic.name, at_s=signals.at_s(int(topic.log_ns[k])), frame=k,
+                          value=float(back.size), limit=0.0, mend="record through one queue that keeps the order")
+        lost = steps > common
+        missing = int((steps[lost] // common - 1).sum()) if common > 0 and share >= COMMON_STEP else 0
+        if missing > contract.thresholds.missing_share * len(topic):
+            k = int(np.flatnonzero(lost)[0]) + 1
+            yield Finding(check="sequence", what=f"{missing} of {len(topic) + missing} messages are missing by their "
+                          "sequence numbers", where=topic.name, at_s=signals.at_s(int(topic.log_ns[k])), frame=k,
+                          value=float(missing), limit=contract.thresholds.missing_share * len(topic),
+                          mend="record again with a longer queue; a hole in the commands cannot be filled in")
+
+
+def _common(steps: np.ndarray) -> tuple[int, float]:
+    """The most frequent step of a running number, and its share."""
+    values, counts = np.unique(steps, return_counts=True)
+    return int(values[counts.argmax()]), float(counts.max() / counts.sum())
+
+
+def _repeated(signals: Signals, topic: Topic, k: int, count: int) -> Finding:
+    return Finding(check="sequence", what=f"{count} messages are there twice, the first is number {topic.sequence[k]}"
+                   if topic.sequence is not None else f"{count} messages are there twice", where=topic.name,
+                   at_s=signals.at_s(int(topic.log_ns[k + 1])), frame=k + 1, value=float(count), limit=0.0,
+                   mend="leave the second ones out: two recorders or a retried upload wrote into one file")
+
+
+def coverage(signals: Signals, contract: Contract) -> Iterator[Finding]:
+    """Required topics: there, of the right type, decodable, and speaking from the beginning to the end."""
+    span = signals.stop_ns - signals.start_ns
+    required = {**contract.topics, **{name: rule for name, rule in contract.cameras.items()}}
+    for name, rule in required.items():
+        topic, camera = signals.topics.get(name), signals.cameras.get(name)
+        stamps = topic.log_ns if topic is not None else camera.stamps_ns if camera is not None else None
+        if stamps is None or not len(stamps):
+            if rule.required:
+                yield Finding(check="coverage", what=f"topic {name}, required by contract {contract.name!r}, is missing",
+                              where=signals.name, mend="start its sensor or driver and record again, or set required: "
+                              "false in the contract")
+            continue
+        kind = getattr(rule, "type", None)
+        if topic is not None and kind and topic.type and _plain(topic.type) != _plain(kind):
+            yield Finding(check="coverage", what=f"type is {topic.type}, the contract asks for {kind}", where=name,
+                          mend="record the topic with the driver that the contract was made for")
+        rated = getattr(rule, "rate_hz", None) is not None or camera is not None
+        for edge, lost in (("begins", int(stamps.min()) - signals.start_ns), ("ends", signals.stop_ns - int(stamps.max()))):
+            share = lost / span if span > 0 else 0.0
+            if rated and share > contract.thresholds.cover_share:
+                yield Finding(check="coverage", what=f"{edge} {lost / 1e9:.3g} s {'late' if edge == 'begins' else 'early'}",
+                              where=name, at_s=signals.at_s(int(stamps.min() if edge == 'begins' else stamps.max())),
+                              value=share, limit=contract.thresholds.cover_share,
+                              mend="wait for every sensor before recording; drop the episode")
+    for topic in signals.topics.values():
+        if topic.undecoded:
+            yield Finding(check="coverage", severity="error" if topic.name in required else "warning",
+                          what=f"{topic.undecoded} of {len(topic)} messages cannot be decoded", where=topic.name,
+                          value=float(topic.undecoded), limit=0.0,
+                          mend="record with the message definition that the driver really uses")
+
+
+def _plain(kind: str) -> str:
+    """sensor_msgs/msg/JointState and sensor_msgs/JointState are one type."""
+    return kind.replace("/msg/", "/")
+
+
+def truncated(signals: Signals, contract: Contract) -> Iterator[Finding]:
+    """A recording that was cut off: its file ends early, says so, or holds fewer ticks than it promises."""
+    mend = "record the episode again; what is whole can be kept for looking at: hardcase recover"
+    if fact := signals.faults.get("truncated"):
+        yield Finding(check="truncated", what=fact, where=signals.name, mend=mend)
+    elif signals.metadata.get("episode", {}).get("truncated") == "true":
+        yield Finding(check="truncated", what="the recording was cut off, and recovered as far as it was whole",
+                      where=signals.name, mend=mend)
+
+
+def summary(signals: Signals, contract: Contract) -> Iterator[Finding]:
+    """A summary that does not count what the file holds: readers that trust it lose data without a word."""
+    if fact := signals.faults.get("summary"):
+        yield Finding(check="summary", what=fact, where=signals.name,
+                      mend="write the summary anew: mcap recover IN -o OUT")

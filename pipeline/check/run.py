@@ -1,0 +1,42 @@
+"""All checks over one subject, and the verdict."""
+
+from pathlib import Path
+
+from pipeline.check.contract import completed
+from pipeline.check.signals import Subject
+from pipeline.check.table import CHECKS
+from pipeline.files import sha256, short_id, source_hash
+from schemas.contract import Contract
+from schemas.finding import CheckVerdict, Finding
+
+
+def check(subject: Subject, contract: Contract) -> CheckVerdict:
+    """Run every check that has something to look at.
+
+    Args:
+        subject: from read_recording or read_folder.
+        contract: what is expected; where it says nothing, the data's own words count (see contract.completed).
+    """
+    whole = completed(contract, subject)
+    findings: list[Finding] = []
+    skipped: dict[str, str] = {}
+    ran: list[str] = []
+    for name, entry in CHECKS.items():
+        lack = entry.lacks(subject, whole)
+        if lack:
+            skipped[name] = lack
+            continue
+        ran.append(name)
+        findings += entry.run(subject, whole)
+    terms, code = sha256(contract.model_dump_json().encode()), code_hash()
+    return CheckVerdict(
+        id=short_id("check", subject.digest, terms, code), subject=subject.digest, kind=subject.kind, name=subject.name,
+        contract=terms, code=code, passed=not any(f.severity == "error" for f in findings), checks=tuple(ran),
+        skipped=skipped, findings=tuple(findings))
+
+
+def code_hash() -> str:
+    """Hash of the sources that decide a verdict: the checks and what reads the logs."""
+    here = Path(__file__).parent
+    return source_hash([*here.glob("*.py"), *(here.parent / "logs").glob("*.py"),
+                        here.parents[1] / "schemas" / "contract.py"])

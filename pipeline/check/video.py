@@ -1,0 +1,97 @@
+"""Pictures against rows: as many as there should be, and of the same moment."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from pipeline.check.following import best_lag, resample
+from pipeline.check.motion import followed
+from pipeline.check.signals import Camera, Signals, Subject
+from schemas.contract import Contract
+from schemas.finding import Finding
+
+MANY = 16
+"""Pictures from which on their number, and their fit to the joints, says something."""
+
+
+def frames(subject: Subject, contract: Contract) -> Iterator[Finding]:
+    """Pictures and messages against the rows or ticks that they belong to."""
+    for signals in subject.recordings:
+        yield from _ticks(signals)
+        if subject.tables is None:
+            for camera in signals.cameras.values():
+                yield from _holes(signals, camera, contract)
+    if subject.tables is not None:
+        lengths = dict(zip(subject.tables.episodes["episode_index"], subject.tables.episodes["length"], strict=True))
+        for (camera, index), count in sorted(subject.tables.videos.items()):
+            if count != lengths[index]:
+                yield Finding(check="frames", what=f"{count} pictures for {lengths[index]} rows",
+                              where=f"episode {index} {camera}", value=float(count), limit=float(lengths[index]),
+                              mend="build the dataset again from its recordings; an encoder dropped pictures")
+
+
+def _ticks(signals: Signals) -> Iterator[Finding]:
+    """Topics that speak once a tick, against the ticks that the recording promises."""
+    if signals.episode is None or signals.faults.get("truncated"):
+        return
+    promised = signals.episode.frames
+    for name, topic in signals.topics.items():
+        if topic.sequence is None or topic.tabled or len(topic) < MANY or not _every_tick(topic.sequence):
+            continue
+        if len(topic) != promised:
+            yield Finding(check="frames", what=f"{len(topic)} messages for {promised} ticks", where=name,
+                          value=float(len(topic)), limit=float(promised),
+                          mend="drop the episode, or record it again with a longer queue")
+
+
+def _every_tick(sequence: np.ndarray) -> bool:
+    steps = np.diff(sequence)
+    return bool(np.mean(steps == 1) > 0.8)
+
+
+def _holes(signals: Signals, camera: Camera, contract: Contract) -> Iterator[Finding]:
+    """Pictures that a camera of even rate left out."""
+    if len(camera.stamps_ns) < MANY:
+        return
+    steps = np.diff(camera.stamps_ns) / 1e9
+    period = float(np.median(steps))
+    if not period > 0 or np.mean(np.abs(steps - period) < 0.5 * period) < 0.7:
+        return
+    missing = int(np.round(steps / period - 1).clip(min=0).sum())
+    limit = max(1.0, contract.thresholds.frames_share * len(camera.stamps_ns))
+    if missing > limit:
+        k = int(steps.argmax())
+        yield Finding(check="frames", what=f"{missing} of {len(steps) + 1 + missing} pictures are missing",
+                      where=camera.name, at_s=signals.at_s(int(camera.stamps_ns[k])), frame=k, value=float(missing),
+                      limit=limit, mend="look at the recorder's dropped messages; lower the camera's size or rate")
+
+
+def shifted_video(signals: Signals, contract: Contract) -> Iterator[Finding]:
+    """Pictures that move when the robot does not: motion in the picture against motion of the joints."""
+    limits = contract.thresholds
+    both = next((f for f in followed(signals, contract) if f.pair.kind == "target"), None)
+    if both is None:
+        return
+    speed = np.abs(np.diff(both.measured, axis=0, prepend=both.measured[:1])).sum(axis=1)
+    topic = both.topic
+    zero = int((topic.log_ns if topic.header_ns is None else topic.header_ns)[0])
+    for name, camera in signals.cameras.items():
+        if len(camera.thumbs) < MANY or not camera.energy.any():
+            continue
+        stamps = (camera.stamps_ns - zero) / 1e9
+        period = max(both.period_s, float(np.median(np.diff(stamps))))
+        start, stop = max(both.clock_s[0], stamps[0]), min(both.clock_s[-1], stamps[-1])
+        clock = np.arange(start, stop, period)
+        if len(clock) < MANY:
+            continue
+        allowed = (-limits.video_shift_s, limits.video_shift_s)
+        fit = best_lag(resample(both.clock_s, speed[:, None], clock), resample(stamps, camera.energy[:, None], clock),
+                       period, allowed_s=allowed)
+        if fit is None or fit.correlation < limits.lag_correlation or fit.correlation < fit.within + limits.video_gain:
+            continue
+        if abs(fit.lag_s) > limits.video_shift_s:
+            side = "behind" if fit.lag_s > 0 else "ahead of"
+            yield Finding(check="shifted-video", what=f"pictures run {abs(fit.lag_s):.3g} s {side} the joints "
+                          f"({abs(fit.lag_s) / period:.0f} frames)", where=name, value=fit.lag_s,
+                          limit=limits.video_shift_s,
+                          mend="stamp pictures when they are exposed, and align rows by stamps, not by number")
