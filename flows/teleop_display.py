@@ -60,7 +60,7 @@ class StatusLine:
             return " ".join(f"{name.removesuffix('.pos')} {value:.1f}" for name, value in
                             zip(self._signals.state[:8], state, strict=False))
         hand = state[_HAND]
-        text = f"hand z {100 * hand[2]:.1f} open {100 * state[STATE.index('gripper')]:.1f}"
+        text = f"hand z {100 * hand[2]:.1f} open {abs(100 * state[STATE.index('gripper')]):.1f}"
         if seen.size:
             x, y, z, turn = seen[_CUBE] - hand
             to_x, to_y = seen[_MARK] - hand[:2]
@@ -78,8 +78,9 @@ class StatusLine:
 def attempts_table(attempts: Sequence[Closed]) -> Table:
     """One row an attempt: how it ended, who commanded when, and what was lost."""
     table = Table(title="Attempts", title_justify="left")
-    for name in ("episode", "label", "said by", "length", "who commanded", "why", "lost"):
-        table.add_column(name)
+    table.add_column("episode", no_wrap=True)
+    for name in ("label", "said by", "length", "who commanded", "why", "lost"):
+        table.add_column(name, overflow="fold")
     for closed in attempts:
         episode, outcome = closed.episode, closed.episode.outcome
         parts = [f"{s.kind} {(s.stop - s.start) / episode.control_hz:.1f} s" for s in episode.segments]

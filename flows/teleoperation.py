@@ -12,20 +12,20 @@ from types import FrameType
 from flows import facts
 from flows.teleop_devices import Driven, TeleopOrder, open_device, open_policy, open_robot
 from flows.teleop_display import StatusLine, print_attempts
+from flows.teleop_store import FOLDER, adopt, keep
 from pipeline.consent import Consents
 from pipeline.errors import ConfigError, StoreError
 from pipeline.files import short_id
 from pipeline.protocols import Teleoperator
 from pipeline.recording.live import Closed
+from pipeline.recording.metadata import record_strings
 from pipeline.robots.keyboard import HELP as KEYS
 from pipeline.robots.keyboard import Keyboard
 from pipeline.robots.with_keys import WithKeys
 from pipeline.store import Lease, RunInfo, Store
-from schemas.consent import NO_CONSENT
+from schemas.consent import NO_CONSENT, Consent
 from stages.teleop import Controls, Session, teleop
 
-FOLDER = "recordings"
-"""Where recordings grow, relative to the store's root; what a killed session left there, recover finds."""
 TELEOP = "teleop"
 """Stands in the run's `control`, so that no loop takes a session for a run of its own."""
 
@@ -76,9 +76,9 @@ def run_teleop(order: TeleopOrder, root: Path, *, as_json: bool = False) -> bool
         number = sum(info.control == TELEOP for info in store.runs().values())
         run = short_id("teleop session", number)
         with stop.listening(), store.lease(run) as lease:
-            _check_consent(order, store)
+            consent = _consent(order, store)
             try:
-                _drive(order, store, lease, number, stop, attempts)
+                _drive(order, store, lease, number, consent, stop, attempts)
             finally:
                 if as_json:
                     _print_json(attempts)
@@ -87,7 +87,8 @@ def run_teleop(order: TeleopOrder, root: Path, *, as_json: bool = False) -> bool
     return stop.asked
 
 
-def _drive(order: TeleopOrder, store: Store, lease: Lease, number: int, stop: Stop, attempts: list[Closed]) -> None:
+def _drive(order: TeleopOrder, store: Store, lease: Lease, number: int, consent: Consent | None, stop: Stop,
+           attempts: list[Closed]) -> None:
     """Connect everything, run the attempts, and keep each as soon as it is whole."""
     driven, device = open_robot(order, number), open_device(order)
     policy, name, id = open_policy(order.policy, store) if order.policy else (None, "", None)
@@ -95,12 +96,15 @@ def _drive(order: TeleopOrder, store: Store, lease: Lease, number: int, stop: St
     device = _with_keys(device)
     with store.commit(lease, lease.run) as tx:
         tx.add_run(_info(order, number))
+    adopt(store, lease)
     line = StatusLine(driven.robot.signals, order.episodes, driven.robot.control_hz)
     controls = Controls(device, driven.driver, driven.limits, policy, name, id)
+    said = record_strings(consent) if consent else {}
     session = Session(
         operator=order.operator, consent=order.consent or NO_CONSENT, folder=store.root / FOLDER,
-        software=facts.software(), config=_config(order, device), number=number, episodes=order.episodes,
-        max_s=order.max_s, by_key=order.by_key, ask=_can_say_next(device), show=line.show, stop=stop)
+        software={**facts.software(), **said}, config=_config(order, device), number=number,
+        episodes=order.episodes, max_s=order.max_s, by_key=order.by_key, ask=_can_say_next(device), show=line.show,
+        stop=stop)
     with ExitStack() as stack:
         stack.callback(driven.robot.disconnect)
         driven.robot.connect()
@@ -109,25 +113,18 @@ def _drive(order: TeleopOrder, store: Store, lease: Lease, number: int, stop: St
         print(KEYS, file=sys.stderr, flush=True)
         try:
             for closed in teleop(driven.robot, controls, driven.scene_of, session):
-                attempts.append(closed)
                 keep(store, lease, closed)
+                attempts.append(closed)
         finally:
             line.end()
 
 
-def keep(store: Store, lease: Lease, closed: Closed) -> None:
-    """Move a recording into the store, and its episode into the catalog."""
-    store.put_blob(closed.path, move=True)
-    with store.commit(lease, lease.run) as tx:
-        tx.add_episodes([closed.episode])
-
-
-def _check_consent(order: TeleopOrder, store: Store) -> None:
-    """Refuse a record that is not there or is another person's; warn where none holds now."""
+def _consent(order: TeleopOrder, store: Store) -> Consent | None:
+    """The person's record; refused where it is not there or another's, and told where it does not hold now."""
     told = "recordings of this session are kept, and never used for training"
     if order.consent is None:
         print(f"no consent: {told} (--consent ID)", file=sys.stderr)
-        return
+        return None
     records = store.consents()
     consent = records.get(order.consent)
     if consent is None:
@@ -139,6 +136,7 @@ def _check_consent(order: TeleopOrder, store: Store) -> None:
     flaw = Consents(records, datetime.now(UTC)).ends(consent)
     if flaw is not None:
         print(f"{flaw.reason}: {told}", file=sys.stderr)
+    return consent
 
 
 def _check_fit(order: TeleopOrder, driven: Driven, device: Teleoperator) -> None:
