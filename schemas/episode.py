@@ -8,7 +8,8 @@ from schemas.base import Frozen, Sha256, ShortId
 from schemas.consent import SIMULATED
 from schemas.scene import SceneSpec
 
-type Origin = Literal["scripted", "teleop", "replayed", "retargeted", "deployed", "corrected", "oracle"]
+type Origin = Literal["scripted", "teleop", "replayed", "retargeted", "deployed", "corrected", "oracle",
+                      "ingested"]
 
 VARIANTS: tuple[Origin, ...] = ("replayed", "retargeted")
 WITH_PARENT: tuple[Origin, ...] = ("replayed", "retargeted", "corrected", "oracle")
@@ -52,7 +53,7 @@ class Episode(Frozen):
     outcome: Outcome
     segments: tuple[Segment, ...]
     parent: ShortId | None = Field(default=None, description="episode this one was made from")
-    transform: str | None = Field(default=None, description="how it was made from its parent")
+    transform: str | None = Field(default=None, description="how it was made from its parent, or from a foreign log")
     policy: ShortId | None = Field(default=None, description="policy that acted, if one did")
     generation: int = Field(ge=0)
     blob: Sha256 | None = Field(default=None, description="the MCAP recording, or the shard of variant frames")

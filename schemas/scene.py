@@ -1,12 +1,12 @@
 """SceneSpec: everything that decides how one attempt starts, before anybody acts."""
 
-from typing import Literal
+from typing import Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from schemas.base import Frozen, Name
 
-type SceneFamily = Literal["demo", "augment", "gate", "deploy", "exam", "study", "teleop"]
+type SceneFamily = Literal["demo", "augment", "gate", "deploy", "exam", "study", "teleop", "foreign"]
 
 
 class Draw(Frozen):
@@ -21,7 +21,8 @@ class SceneSpec(Frozen):
     """The start of one attempt: who, where, what, and the physics drawn for it.
 
     The seed also drives perception noise and delay jitter, tick by tick, so that
-    a scene played twice under the same commands gives the same bits.
+    a scene played twice under the same commands gives the same bits. Of an attempt in a 'foreign' log
+    nothing but robot and task is known: its numbers are 0, and its seed only tells one start from another.
     """
 
     family: SceneFamily = Field(description="seed family; families never share a seed")
@@ -32,7 +33,15 @@ class SceneSpec(Frozen):
     stratum: Name = Field(description="kind of start: common, beside, large, ...")
     object_xy_m: tuple[float, float]
     object_yaw_rad: float
-    object_half_m: float = Field(gt=0, description="half edge of the cube [m]")
+    object_half_m: float = Field(ge=0, description="half edge of the cube [m]; 0 where no cube is known")
     target_xy_m: tuple[float, float]
     draws: tuple[Draw, ...] = Field(default=(), description="randomized physics; empty means nominal, or a twin's own")
     twin: int | None = Field(default=None, description="seed of the twin whose hidden physics apply")
+
+    @model_validator(mode="after")
+    def only_foreign_scenes_have_no_cube(self) -> Self:
+        """Every scene of ours has a cube of some size."""
+        if (self.object_half_m == 0) != (self.family == "foreign"):
+            raise ValueError(f"object_half_m = {self.object_half_m} in a scene of family {self.family!r}: exactly "
+                             "'foreign' scenes have none")
+        return self

@@ -1,15 +1,18 @@
 """Build: episodes and a recipe become an immutable dataset version."""
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import get_args
 
 from pipeline import arrow, frames, shards, trace
 from pipeline.consent import NO_CONSENTS, Consents, needs
 from pipeline.errors import ConfigError, DatasetError
 from pipeline.files import short_id, source_hash
-from pipeline.frames import Frames
+from pipeline.frames import FEATURES, Features, Table
 from pipeline.lerobot_view import exact, layout, manifest, sharing, split, tables, writer
+from pipeline.lerobot_view.agreement import features_in, refuse_others
 from pipeline.lerobot_view.manifest import load_version
 from pipeline.lerobot_view.tables import Row
 from schemas.dataset import DatasetVersion
@@ -29,10 +32,13 @@ no recording into other bytes of a version, and must not change the ids of versi
 FOLDER = "versions"
 """Where versions lie, relative to the store's root."""
 
+NOTHING: Mapping[str, object] = MappingProxyType({})
 
-def build(episodes: Sequence[Episode], frames_of: Callable[[Episode], Frames] | Mapping[str, Frames], recipe: Recipe,
-          *, store: Path, task: str, generation: int, parent: DatasetVersion | None = None,
-          consents: Consents = NO_CONSENTS) -> DatasetVersion:
+
+def build(episodes: Sequence[Episode], frames_of: Callable[[Episode], Table] | Mapping[str, Table], recipe: Recipe,
+          *, store: Path, task: str | Mapping[str, str], generation: int, parent: DatasetVersion | None = None,
+          consents: Consents = NO_CONSENTS, features: Features = FEATURES,
+          notes: Mapping[str, object] = NOTHING) -> DatasetVersion:
     """Make the dataset version that the recipe asks for, or return it if it is already there.
 
     Episodes of the parent keep their order and come first; those that also keep their place share its
@@ -45,15 +51,18 @@ def build(episodes: Sequence[Episode], frames_of: Callable[[Episode], Frames] | 
         frames_of: gives the frames of an episode.
         recipe: its dataset section chooses; augment.keep_rejected lets failed variants pass.
         store: root of the store; the version becomes store/versions/ID.
-        task: what the robot is asked to do, in words, for language-conditioned policies.
+        task: what the robot is asked to do, in words, for language-conditioned policies; one text for all
+            episodes, or one for each id.
         generation: lap of the loop, from 0.
         parent: the version this one grows from.
         consents: the consent records, and the moment of this use.
+        features: of the robot; every episode and the parent must have these.
+        notes: what else the manifest shall say.
 
     Raises:
         ConsentError: a person in an episode, or in one that it was made from, does not consent.
         DatasetError: nothing is left after the filter, an episode has no recording, its frames are not
-            what its record says, or the parent's folder is damaged.
+            what its record says or have other features, or the parent's folder is damaged.
         RecordingError: a frame that is not finite or has a wrong shape; names the episode.
         ConfigError: weights that do not fit the groups of episodes.
     """
@@ -61,9 +70,10 @@ def build(episodes: Sequence[Episode], frames_of: Callable[[Episode], Frames] | 
     consents.check(chosen, episodes)
     fps, robot = _common(chosen)
     code = code_hash()
+    other = () if features is FEATURES else (_text(features), _text(notes))
     version = short_id(
-        "dataset version", recipe.dataset.model_dump_json(), recipe.augment.keep_rejected, task, generation,
-        parent.id if parent else "", code, *(e.model_dump_json() for e in chosen),
+        "dataset version", recipe.dataset.model_dump_json(), recipe.augment.keep_rejected, _text(task), generation,
+        parent.id if parent else "", code, *other, *(e.model_dump_json() for e in chosen),
     )
     target = store / FOLDER / version
     if not target.exists():
@@ -71,14 +81,15 @@ def build(episodes: Sequence[Episode], frames_of: Callable[[Episode], Frames] | 
         rows, held, weights = _rows(chosen, episodes, recipe, task, decided)
         facts = {"id": version, "generation": generation, "parent": parent.id if parent else None, "weights": weights,
                  "code": code}
-        reuse = store / parent.path if parent and parent.code == code else None
-        writer.write_version(target, rows, _getter(frames_of), _content(facts, rows, held, recipe, task, decided),
-                             aside=store / "tmp", fps=fps, robot=robot, parent=reuse)
+        reuse = _same_features(store / parent.path, features, robot) if parent and parent.code == code else None
+        content = {**_content(facts, rows, held, recipe, task, decided), **notes}
+        writer.write_version(target, rows, _getter(frames_of), content, aside=store / "tmp", fps=fps, robot=robot,
+                             parent=reuse, of=features)
     return load_version(target)
 
 
-def _content(facts: Mapping[str, object], rows: Sequence[Row], held: frozenset[str], recipe: Recipe, task: str,
-             decided: split.Decided) -> dict[str, object]:
+def _content(facts: Mapping[str, object], rows: Sequence[Row], held: frozenset[str], recipe: Recipe,
+             task: str | Mapping[str, str], decided: split.Decided) -> dict[str, object]:
     """What the manifest says of a version besides the digests of its files."""
     chosen = [row.episode for row in rows]
     train = {row.lineage for row in rows} - held
@@ -88,7 +99,8 @@ def _content(facts: Mapping[str, object], rows: Sequence[Row], held: frozenset[s
             "held_out": [row.episode.id for row in rows if row.split == "held_out"],
             "inputs": list(dict.fromkeys(e.blob for e in chosen)), "frames": sum(e.frames for e in chosen),
         },
-        recipe=recipe.model_dump(mode="json"), task=task,
+        recipe=recipe.model_dump(mode="json"),
+        task=task if isinstance(task, str) else sorted({row.task for row in rows}),
         lineages={"held_out": sorted(held | decided.held_out), "train": sorted(train | decided.train)},
     )
 
@@ -101,8 +113,18 @@ def code_hash() -> str:
     return source_hash([here, *files, *(here.parents[1] / name for name in READING)])
 
 
-def _getter(frames_of: Callable[[Episode], Frames] | Mapping[str, Frames]) -> Callable[[Episode], Frames]:
-    def get(episode: Episode) -> Frames:
+def _same_features(parent: Path, features: Features, robot: str) -> Path:
+    refuse_others(features_in(parent), features, robot=robot, where=parent)
+    return parent
+
+
+def _text(value: object) -> str:
+    """Plain text as it is, anything else as JSON in the order it is in."""
+    return value if isinstance(value, str) else json.dumps(value, default=dict)
+
+
+def _getter(frames_of: Callable[[Episode], Table] | Mapping[str, Table]) -> Callable[[Episode], Table]:
+    def get(episode: Episode) -> Table:
         try:
             return frames_of(episode) if callable(frames_of) else frames_of[episode.id]
         except KeyError as error:
@@ -169,7 +191,7 @@ def _parent_decisions(store: Path, parent: DatasetVersion) -> split.Decided:
     return split.Decided(held, frozenset((*parent.episodes, *known["train"])) - held)
 
 
-def _rows(chosen: Sequence[Episode], everything: Sequence[Episode], recipe: Recipe, task: str,
+def _rows(chosen: Sequence[Episode], everything: Sequence[Episode], recipe: Recipe, task: str | Mapping[str, str],
           decided: split.Decided) -> tuple[list[Row], frozenset[str], dict[str, float]]:
     every = split.lineages(everything)
     roots = {e.id: every[e.id] for e in chosen}
@@ -179,7 +201,7 @@ def _rows(chosen: Sequence[Episode], everything: Sequence[Episode], recipe: Reci
     weights = split.shares(recipe.dataset.weights, {group[e.id] for e in train})
     chance = split.chances(train, group, weights)
     people = needs(chosen, everything)
-    rows = [Row(e, task, roots[e.id], "train" if e.id in chance else "held_out", group[e.id], chance.get(e.id, 0.0),
-                ",".join(people[e.id]))
+    rows = [Row(e, task if isinstance(task, str) else task[e.id], roots[e.id],
+                "train" if e.id in chance else "held_out", group[e.id], chance.get(e.id, 0.0), ",".join(people[e.id]))
             for e in chosen]
     return rows, held, weights
