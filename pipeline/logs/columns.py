@@ -41,6 +41,7 @@ class Columns:
     def nest(self, inner: "Columns", counts: Sequence[int], prefix: str = "") -> None:
         """Add the columns of elements, `counts` of them in each message, each message's laid end to end."""
         bounds = list(pairwise((0, *accumulate(counts))))
+        self.times.update(prefix + path for path in inner.times)
         for path, column in inner.values.items():
             width = column.shape[1] if column.ndim == 2 else 1
             self.split(prefix + path, column.reshape(-1), [count * width for count in counts])
@@ -57,7 +58,8 @@ class Columns:
         """The columns as what a batch says; `rows` and `bad` as in Fields."""
         stamp = next((self.values[path] for path in STAMPS if path in self.times and path in self.values), None)
         header = stamp if stamp is not None and stamp.ndim == 1 else None
-        return Fields(rows, tuple(sorted(bad)), self.values, self.ragged, self.texts, self.names, self.blobs, header)
+        return Fields(rows, tuple(sorted(bad)), self.values, self.ragged, self.texts, self.names, self.blobs, header,
+                      frozenset(self.times))
 
     def keep(self, mask: NDArray[np.bool_]) -> "Columns":
         """The columns of some messages only."""

@@ -41,6 +41,8 @@ class Fields:
     """Path -> one sequence of bytes a message, such as an image; a view, not a copy."""
     header_ns: NDArray[np.int64] | None = None
     """The message's own stamp (see STAMPS) [ns], shape (n,); None where the type has none."""
+    times: frozenset[str] = frozenset()
+    """Paths of the values that are times or durations."""
 
     def __len__(self) -> int:
         return len(self.rows)

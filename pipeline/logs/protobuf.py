@@ -183,6 +183,7 @@ def _sequence(columns: Columns, leaf: Leaf, cells: Sequence[Any]) -> None:
         columns.nest(inner, counts, f"{path}.")
     elif inner_type is None or inner_type.full_name in _TIMES:
         columns.split(path, _numbers(leaf, list(chain.from_iterable(cells))), counts)
+        columns.times.update([path] if inner_type else [])
 
 
 def _numbers(leaf: Leaf, cells: Sequence[Any]) -> Numbers:
