@@ -115,11 +115,15 @@ def test_a_fault_of_ours_is_one_line_too_and_the_whole_story_on_request(counting
     assert "Traceback" in whole.stderr
 
 
-def test_nothing_that_prefect_keeps_is_a_pickle(counting):
+@one_worker
+def test_what_prefect_keeps_of_a_failure_is_json_and_of_a_success_nothing(counting, finished):
     counting.run("loop", "--recipe", "smoke", COUNTING_FAIL="train 0")
-    kept = counting.store / ".prefect/storage"
-    for file in kept.rglob("*") if kept.exists() else ():
-        json.loads(file.read_text())
+    (kept,) = (counting.store / ".prefect/storage").iterdir()
+    said = json.loads(kept.read_text())
+    assert said["__exc_type__"] == "pipeline.errors.SimulationError"
+    assert said["message"].startswith("the arm went through the table")
+    storage = finished.store / ".prefect/storage"
+    assert not storage.exists() or not list(storage.iterdir())
 
 
 def test_a_server_that_dies_is_named_with_the_way_on(counting):
