@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from pipeline.frames import ACTION, ENVIRONMENT, STATE
 from pipeline.recording import cdr
-from pipeline.recording.dialect import FRAME_TOPICS, JOINT_NAMES, every_tick, topic_type
+from pipeline.recording.dialect import FRAME_TOPICS, JOINT_NAMES, RESTORE_TOPICS, every_tick, topic_type
 from pipeline.recording.scan import reading, refuse
 from pipeline.recording.series import Series
 from pipeline.trace import Event, Rows, Shadow, Trace
@@ -33,7 +33,7 @@ class Decoder:
 
     def features(self) -> dict[str, Rows]:
         """observation.state, observation.environment_state, action, action.joint, and velocity and effort, float64."""
-        state, velocity, effort = self._joints("/joint_states", velocity=True, effort=True)
+        state, velocity, effort = self._measured()
         measured = self._array("/ee/measured", len(STATE[7:11]))
         commanded = self._array("/ee/commanded", len(STATE[11:]))
         environment = self._array("/observation/environment", len(ENVIRONMENT))
@@ -54,7 +54,7 @@ class Decoder:
             self._episode.control_hz, found["state"], found["environment"], found["action"], found["joint_action"],
             found["velocity"], found["effort"], links, poses, self._phases(),
             {term: self._scalars(f"/reward/{term}") for term in terms},
-            self._array("/sim/state"), self._array("/sim/controller"), self._shadows(), self._events())
+            self._restorable("/sim/state"), self._restorable("/sim/controller"), self._shadows(), self.events())
 
     def _series(self, topic: str) -> Series:
         series = self._topics.get(topic)
@@ -66,13 +66,29 @@ class Decoder:
                          "record it in the dialect of pipeline/recording/dialect.py")
         return series
 
+    def _measured(self) -> list[Rows]:
+        """Positions, velocities and efforts, shape (m, 7) each; NaN where the robot does not measure them."""
+        series, has = self._series("/joint_states"), list[bool]()
+        with reading(series.where, "message 0 on /joint_states"):
+            cursor = cdr.Cursor(series.payload(0))
+            _joint_names(cursor)
+            for _ in range(3):
+                has.append((width := _count(cursor)) > 0)
+                cursor.floats(width)
+        found = iter(self._joints("/joint_states", velocity=has[1], effort=has[2]))
+        return [next(found) if present else np.full((self._m, len(JOINT_NAMES)), np.nan)
+                for present in (True, *has[1:])]
+
+    def _restorable(self, topic: str) -> Rows:
+        """What a simulator saved; a real robot saves nothing, shape (m, 0)."""
+        if any(name in self._topics for name in RESTORE_TOPICS):
+            return self._array(topic)
+        return np.zeros((self._m, 0))
+
     def _joints(self, topic: str, *, velocity: bool, effort: bool) -> list[Rows]:
         series = self._series(topic)
         with reading(series.where, f"message 0 on {topic}"):
-            cursor = cdr.Cursor(series.payload(0))
-            cursor.stamp()
-            cursor.text()
-            names = tuple(cursor.text() for _ in range(_count(cursor)))
+            names = _joint_names(cdr.Cursor(series.payload(0)))
         self._check_width(topic, len(names), len(JOINT_NAMES))
         if names != JOINT_NAMES:
             raise refuse(f"{topic} names joints {', '.join(names)}", series.where,
@@ -125,7 +141,8 @@ class Decoder:
                 phases[tick:] = [name] * len(phases[tick:])
         return tuple(phases)
 
-    def _events(self) -> tuple[Event, ...]:
+    def events(self) -> tuple[Event, ...]:
+        """Everything on /events up to the last tick."""
         found: list[Event] = []
         if series := self._topics.get("/events"):
             for k, tick in enumerate(series.ticks()):
@@ -156,36 +173,44 @@ class Decoder:
 
 
 def whole_ticks(topics: Mapping[str, Series], required: tuple[str, ...], episode: Episode, *,
-                where: object, exact: bool) -> int:
-    """How many ticks every required and every per-tick topic holds; their steps must count 0, 1, 2, ...
+                where: object, exact: bool) -> tuple[int, str | None]:
+    """How many ticks every required and every per-tick topic holds, and the first gap that ends them, if one does.
 
     Args:
-        topics: what was read.
+        topics: what was read; their steps count 0, 1, 2, ...
         required: topics without which the recording is of no use.
         episode: names the robot whose contract is checked.
         where: the file.
-        exact: all must hold one message for every frame of the episode.
+        exact: all must hold one message for every frame of the episode, and a gap is an error.
     """
     for topic in required:
         if topic not in topics:
             raise refuse(f"topic {topic}, required by contract {episode.scene.robot!r}, is missing", where,
                          "record it, or name another robot in the recipe")
-    counts: dict[str, int] = {}
+    counts, gap = dict[str, int](), None
     for topic, series in topics.items():
         if not every_tick(topic):
             continue
         counts[topic] = len(series)
         wrong = np.flatnonzero(series.ticks() != np.arange(len(series)))
         if wrong.size:
-            k = int(wrong[0])
-            raise refuse(f"{topic} skips to tick {series.ticks()[k]} at message {k}", where,
-                         "record every tick, or drop the episode")
+            k = counts[topic] = int(wrong[0])
+            gap = f"{topic} skips to tick {series.ticks()[k]} at message {k}"
+            if exact:
+                raise refuse(gap, where, "record every tick, or keep what is before it: --accept-truncated")
     if exact:
         for topic, count in counts.items():
             if count != episode.frames:
                 raise refuse(f"{topic} has {count} messages, the episode {episode.frames} frames", where,
                              "record every topic at every tick, or drop the episode")
-    return min(counts.values(), default=0)
+    return min(counts.values(), default=0), gap
+
+
+def _joint_names(cursor: cdr.Cursor) -> tuple[str, ...]:
+    """Names in a JointState; the cursor stands before its positions afterwards."""
+    cursor.stamp()
+    cursor.text()
+    return tuple(cursor.text() for _ in range(_count(cursor)))
 
 
 def _count(cursor: cdr.Cursor) -> int:

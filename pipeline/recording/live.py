@@ -18,13 +18,14 @@ from pipeline.errors import RecordingError
 from pipeline.files import sync_folder
 from pipeline.recording import cdr
 from pipeline.recording.live_file import LiveFile
-from pipeline.recording.live_header import START, final_metadata, start_metadata
+from pipeline.recording.live_header import START, segments_of, start_metadata
 from pipeline.recording.live_rows import Row, RowLayout, TickLayout, Vector
 from pipeline.recording.live_writer import QUEUE_BYTES, Item, LiveWriter, close_quietly, write_all
-from pipeline.recording.metadata import NAME
+from pipeline.recording.metadata import NAME, episode_metadata
 from pipeline.recording.pictures import check_picture, image_message
 from pipeline.recording.verify import verify
 from pipeline.recording.write import RESERVE_BYTES, leave_reserve, lock, named, part_of
+from schemas.consent import Consent
 from schemas.episode import Episode, Outcome, Segment
 
 
@@ -59,6 +60,7 @@ class LiveRecorder:
             segment says who begins (see live_header.beginning).
         attachments: scene.xml, config.json, robot.urdf, randomization.json; the URDF also goes to /robot_description.
         software: software_commit, simulator_version and further strings for the metadata.
+        consent: the record that the episode refers to, where a person is recorded.
         layout: messages of a tick, for a robot other than the reference arm; see live_rows.joint_layout.
         clock: log time now [ns]; must not go back.
         queue_bytes: what may wait for the disk [B].
@@ -69,11 +71,13 @@ class LiveRecorder:
     """
 
     def __init__(self, path: Path, episode: Episode, *, attachments: Mapping[str, bytes],
-                 software: Mapping[str, str] | None = None, layout: TickLayout | None = None,
-                 clock: Callable[[], int] | None = None, queue_bytes: int = QUEUE_BYTES,
+                 software: Mapping[str, str] | None = None, consent: Consent | None = None,
+                 layout: TickLayout | None = None, clock: Callable[[], int] | None = None,
+                 queue_bytes: int = QUEUE_BYTES,
                  reserve_bytes: int = RESERVE_BYTES) -> None:
         self.path, self.frames = path, 0
         self._episode, self._software, self._layout = episode, dict(software or {}), layout
+        self._consent = consent
         self._clock = clock or steady_clock()
         self._shapes: tuple[object, ...] | None = None
         self._numbered = self._closed = False
@@ -91,7 +95,7 @@ class LiveRecorder:
 
     def _begin(self, attachments: Mapping[str, bytes], queue_bytes: int) -> None:
         now = self._clock()
-        metadata = {START: start_metadata(self._episode, self._software)}
+        metadata = {START: start_metadata(self._episode, self._software, self._consent)}
         self._file = LiveFile(metadata, attachments, now)
         if (urdf := attachments.get("robot.urdf")) is not None:
             self._file.add("/robot_description", 0, now, now, cdr.text(urdf.decode()))
@@ -237,15 +241,12 @@ class LiveRecorder:
 
     def _finish(self, outcome: Outcome, segments: tuple[Segment, ...] | None) -> Closed:
         if segments is None:
-            starts = [s for s in self._starts if s[0] < self.frames]
-            stops = [*(s[0] for s in starts[1:]), self.frames]
-            segments = tuple(Segment.model_validate({"kind": kind, "start": start, "stop": stop, "actor": actor})
-                             for (start, kind, actor), stop in zip(starts, stops, strict=True))
+            segments = segments_of(self._starts, self.frames)
         values = self._episode.model_dump() | {"frames": self.frames, "outcome": outcome, "segments": segments}
         episode = Episode.model_validate(values)
         dropped = dict(self._writer.dropped)
         extra = {**self._software, "dropped": json.dumps(dropped, sort_keys=True)}
-        self._file.end({NAME: final_metadata(episode, extra)})
+        self._file.end({NAME: episode_metadata(episode, software=extra, truncated=False, consent=self._consent)})
         write_all(self._handle, self._file.take())
         os.fsync(self._handle)
         part = part_of(self.path)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import accumulate, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -134,11 +135,11 @@ class RowLayout(TickLayout):
         check_row(row, where)
         sizes = [16, 7, 5, 7, len(row.joint_velocity), len(row.joint_effort), row.link_poses.size, len(row.reward),
                  len(row.sim_state), len(row.controller)]
-        edges = np.cumsum([0, *sizes])
+        edges = list(accumulate(sizes, initial=0))
         state, seen, action, sent, velocity, effort, poses, rewards, sim, memory = (
-            np.arange(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True))
+            np.arange(a, b, dtype=np.intp) for a, b in pairwise(edges))
         self._yaw = int(seen[3])
-        zero, sine, cosine, one = (int(edges[-1]) + k for k in range(4))
+        zero, sine, cosine, one = (edges[-1] + k for k in range(4))
         joints = cdr.joint_state(JOINT_NAMES, velocity=len(velocity) > 0, effort=len(effort) > 0)
         columns: list[tuple[str, cdr.Layout, Sequence[int] | NDArray[np.intp]]] = [
             ("/joint_states", joints, np.concatenate([state[:7], velocity, effort])),

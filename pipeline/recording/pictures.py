@@ -1,5 +1,8 @@
 """Pictures on their way into a recording: JPEG in sensor_msgs/CompressedImage, which every viewer takes."""
 
+from collections.abc import Callable
+from typing import cast
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,9 +15,10 @@ QUALITY = 85
 
 def jpeg(picture: NDArray[np.uint8], *, quality: int = QUALITY) -> bytes:
     """A picture, RGB of shape (height, width, 3), as JPEG with colours at half the resolution."""
-    from simplejpeg import encode_jpeg
+    import simplejpeg  # pyright: ignore[reportMissingTypeStubs]
 
-    return encode_jpeg(np.ascontiguousarray(picture), quality=quality, colorspace="RGB", colorsubsampling="420")
+    encode = cast(Callable[..., bytes], simplejpeg.encode_jpeg)  # pyright: ignore[reportUnknownMemberType]
+    return encode(np.ascontiguousarray(picture), quality=quality, colorspace="RGB", colorsubsampling="420")
 
 
 def image_message(camera: str, picture: NDArray[np.uint8] | bytes, stamp_ns: int) -> bytes:
@@ -30,4 +34,5 @@ def check_picture(picture: NDArray[np.uint8] | bytes, where: object) -> None:
         good = picture.dtype == np.uint8 and picture.ndim == 3 and picture.shape[2] == 3 and picture.size > 0
         what = f"{picture.dtype} of shape {picture.shape}"
     if not good:
-        raise RecordingError(f"a picture is {what}", where=where, mend="give RGB as uint8 (height, width, 3), or a JPEG")
+        raise RecordingError(f"a picture is {what}", where=where,
+                             mend="give RGB as uint8 (height, width, 3), or a JPEG")

@@ -2,7 +2,6 @@
 
 import logging
 import struct
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,13 +10,15 @@ import numpy as np
 
 from pipeline.files import sha256
 from pipeline.frames import Frames
-from pipeline.recording import metadata
 from pipeline.recording.decode import Decoder, whole_ticks
 from pipeline.recording.dialect import FRAME_TOPICS, RESTORE_TOPICS, every_tick
-from pipeline.recording.scan import DAMAGED, Scan, load, reading, refuse, scan
+from pipeline.recording.errors import DAMAGED, ends_early, reading, refuse
+from pipeline.recording.live_header import cut_off
+from pipeline.recording.scan import load, scan
 from pipeline.recording.series import Messages, collect
+from pipeline.recording.strings import attached_files, episode_strings, finished
 from pipeline.recording.summary import read_summary
-from pipeline.trace import Trace
+from pipeline.trace import Event, Trace
 from schemas.episode import Episode, Outcome
 
 _LOG = logging.getLogger(__name__)
@@ -35,7 +36,7 @@ class Opened:
     lost: str | None
     """Why it ends early; None where it is whole."""
     planned: int
-    """Frames that the episode had before it was cut."""
+    """Frames that the episode had before it was cut; one more than were kept where nobody knows."""
 
 
 def read_episode(path: Path, *, accept_truncated: bool = False) -> tuple[Episode, Trace]:
@@ -82,27 +83,30 @@ def open_recording(path: Path, *, accept_truncated: bool = False, wanted: Callab
     """
     data = load(path)
     found = scan(data, path)
-    messages = collect(found, wanted, tolerant=accept_truncated)
-    lost = found.end or (messages.broken and messages.broken.what)
+    ended = finished(found)
+    messages = collect(found, lambda topic: wanted(topic) or (topic == "/events" and not ended),
+                       tolerant=accept_truncated)
+    lost = found.end or (messages.broken and messages.broken.what) or (None if ended else "it was never closed")
     if not lost and not found.sound:
         raise refuse("data section: CRC mismatch; quarantined", path, DAMAGED)
     if lost and not accept_truncated:
-        seconds = (messages.last_ns - messages.first_ns) / 1e9
-        raise refuse(f"episode ends early after message {messages.total} (t = {seconds:.2f} s); recovered "
-                     f"{messages.total}; pass --accept-truncated to keep it", path,
-                     "pass --accept-truncated to keep what is whole, or record the episode again")
+        raise ends_early(messages.total, (messages.last_ns - messages.first_ns) / 1e9, path)
     if not lost:
         _count_against_summary(data, messages, path)
-    strings = _strings(found, path)
+    strings = episode_strings(found, path)
     with reading(path, "metadata record 'episode'"):
         episode = Episode.model_validate_json(strings["episode_json"])
     topics = messages.topics
-    ticks = whole_ticks(topics, required, episode, where=path, exact=lost is None)
-    planned = episode.frames
+    if not any(topic in topics for topic in RESTORE_TOPICS):  # a real robot: nothing can be restored
+        required = tuple(topic for topic in required if topic not in RESTORE_TOPICS)
+    ticks, gap = whole_ticks(topics, required, episode, where=path, exact=not accept_truncated)
+    lost, planned = lost or gap, episode.frames if ended else None
     if ticks != planned:
-        episode = _cut(episode, ticks, str(lost), path)
+        events = Decoder(topics, episode, ticks, path).events() if planned is None else ()
+        episode = _cut(episode, ticks, planned, str(lost), path, events)
     episode = episode.model_copy(update={"blob": sha256(data)})
-    return Opened(episode, Decoder(topics, episode, ticks, path), _attachments(found), strings, lost, planned)
+    return Opened(episode, Decoder(topics, episode, ticks, path), attached_files(found), strings, lost,
+                  planned or ticks + 1)
 
 
 def _count_against_summary(data: bytes, messages: Messages, path: Path) -> None:
@@ -115,55 +119,17 @@ def _count_against_summary(data: bytes, messages: Messages, path: Path) -> None:
         _LOG.warning("%s: summary lists %d messages, data has %d; summary ignored", path, listed, messages.total)
 
 
-def _strings(found: Scan, path: Path) -> dict[str, str]:
-    """The strings of the metadata record `episode`."""
-    for start, stop in found.metadata:
-        with reading(path, f"metadata at byte {start - 9}"):
-            name, at = _text(found.data, start, stop)
-            if name == metadata.NAME:
-                (size,) = struct.unpack_from("<I", found.data, at)
-                values: dict[str, str] = {}
-                at, end = at + 4, at + 4 + size
-                while at < min(end, stop):
-                    key, at = _text(found.data, at, stop)
-                    values[key], at = _text(found.data, at, stop)
-                if metadata.SEAL in values and values[metadata.SEAL] != metadata.seal(values):
-                    raise ValueError("sha256 mismatch")
-                return values
-    raise refuse("no metadata record 'episode'", path,
-                 "record with pipeline.recording, or bring the file in as a foreign log")
-
-
-def _attachments(found: Scan) -> dict[str, bytes]:
-    files: dict[str, bytes] = {}
-    for start, stop in found.attachments:
-        with reading(found.where, f"attachment at byte {start - 9}"):
-            name, at = _text(found.data, start + 16, stop)
-            _, at = _text(found.data, at, stop)
-            (size,) = struct.unpack_from("<Q", found.data, at)
-            if at + 8 + size + 4 != stop:
-                raise ValueError(f"{size} B do not fit its record")
-            (crc,) = struct.unpack_from("<I", found.data, stop - 4)
-            if zlib.crc32(memoryview(found.data)[start : stop - 4]) != crc:
-                raise ValueError("CRC mismatch")
-            files[name] = found.data[at + 8 : stop - 4]
-    return files
-
-
-def _text(data: bytes, at: int, stop: int) -> tuple[str, int]:
-    (size,) = struct.unpack_from("<I", data, at)
-    if at + 4 + size > stop:
-        raise ValueError(f"string of {size} B at byte {at} runs over its record")
-    return data[at + 4 : at + 4 + size].decode(), at + 4 + size
-
-
-def _cut(episode: Episode, ticks: int, lost: str, path: Path) -> Episode:
+def _cut(episode: Episode, ticks: int, planned: int | None, lost: str, path: Path,
+         events: tuple[Event, ...]) -> Episode:
     """The episode as far as it was recorded; how it ended is not known."""
-    if not 0 < ticks < episode.frames:
-        raise refuse(f"{ticks} whole ticks of {episode.frames}", path, "drop it: there is nothing to keep")
+    if ticks == 0 or (planned is not None and ticks > planned):
+        raise refuse(f"{ticks} whole ticks of {planned or 'an unknown number'}", path,
+                     "drop it: there is nothing to keep")
+    if planned is None:
+        with reading(path, "events named 'segment'"):
+            return cut_off(episode, ticks, [(e.tick, e.text) for e in events if e.name == "segment"], lost)
     segments = tuple(s.model_copy(update={"stop": min(s.stop, ticks)}) for s in episode.segments if s.start < ticks)
-    reason = f"truncated: {ticks} of {episode.frames} frames kept; {lost}"
+    reason = f"truncated: {ticks} of {planned} frames kept; {lost}"
     outcome = Outcome(label="unknown", judged_by=episode.outcome.judged_by, reason=reason, trigger=None, family=None,
                       tick=None)
     return episode.model_copy(update={"frames": ticks, "segments": segments, "outcome": outcome})
-

@@ -8,9 +8,11 @@ from pathlib import Path
 
 from pipeline.errors import RecordingError
 from pipeline.files import atomic, sync_folder
+from pipeline.recording.live_recover import frames_of, is_live, is_whole, rewrite
 from pipeline.recording.quarantine import QUARANTINE, set_aside
 from pipeline.recording.read import open_recording
-from pipeline.recording.scan import reading
+from pipeline.recording.scan import Scan, load, reading, scan
+from pipeline.recording.verify import verify
 from pipeline.recording.write import Recording, encode, named
 
 
@@ -58,6 +60,9 @@ def _recover_one(part: Path, gate: Callable[[Path], object] | None) -> Recovered
         try:
             if gate:
                 gate(part)
+            found = scan(load(part), part)
+            if is_live(found):
+                return _recover_live(found, part, final)
             opened = open_recording(part, accept_truncated=True)
             if opened.lost is None:
                 os.fsync(stream.fileno())
@@ -73,6 +78,19 @@ def _recover_one(part: Path, gate: Callable[[Path], object] | None) -> Recovered
             whole.writelines(encode(item).pieces)
         part.unlink()  # only now: a kill before this line leaves both, and the next start sets the rest aside
     return Recovered(part, final, opened.episode.frames, opened.lost)
+
+
+def _recover_live(found: Scan, part: Path, final: Path) -> Recovered:
+    """Deal with what a live recorder left; every topic is kept, those of cameras too."""
+    if is_whole(found):
+        verify(part)
+        part.replace(final)
+        sync_folder(final.parent)
+        return Recovered(part, final, frames_of(found), "")
+    with named(final), atomic(final) as whole:
+        episode, lost = rewrite(found, whole)
+    part.unlink()
+    return Recovered(part, final, episode.frames, lost or "")
 
 
 def _software(strings: Mapping[str, str]) -> dict[str, str]:

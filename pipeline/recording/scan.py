@@ -1,10 +1,12 @@
 """Look at a file before anything is unpacked: where its records lie, and whether it asks for too much."""
 
+import mmap
 import stat
 import struct
 import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import cast
 
 from pipeline.recording.errors import DAMAGED, REPACK, SPLIT, not_mcap, reading, refuse
 from pipeline.recording.fields import Chunk
@@ -14,7 +16,12 @@ from pipeline.recording.unpacking import MAX_BYTES, absurd, plain_bytes, read_ch
 __all__ = ["DAMAGED", "Scan", "load", "reading", "refuse", "scan", "unpack"]
 
 MAX_TOTAL = 256 << 20
-"""All chunks of a file together, unpacked [B]; half an hour of the arm at 20 Hz takes 150 MB."""
+"""All chunks of a file together, unpacked, and what of a file is held in memory [B]; half an hour of the arm at 20 Hz
+takes 150 MB. Pictures may go beyond it: they hardly pack, so a file may declare a few times its own size."""
+MAX_FILE = 16 << 30
+"""Largest file [B]: an hour of eight cameras."""
+_SPREAD = 4
+"""How many times its own size a file above MAX_TOTAL may unpack to."""
 MAX_RECORDS = 500_000
 """Top-level records; keeps a file of empty ones from holding a core."""
 
@@ -35,15 +42,18 @@ class Scan:
 
 
 def load(path: Path) -> bytes:
-    """The bytes of a file no larger than any recording may be."""
+    """The bytes of a file no larger than any recording may be; a large one is mapped, not read."""
     with reading(path, "file"):
         status = path.stat()
         if not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):
             raise refuse("not a regular file", path, "name a .mcap recording")
         size = status.st_size
-        if size > MAX_TOTAL:
-            raise refuse(f"file has {size} B, limit {MAX_TOTAL}", path, SPLIT)
-        return path.read_bytes()
+        if size > MAX_FILE:
+            raise refuse(f"file has {size} B, limit {MAX_FILE}", path, SPLIT)
+        if size <= MAX_TOTAL:
+            return path.read_bytes()
+        with path.open("rb") as stream:  # a map stands where bytes do: slices and buffers are all that is asked of it
+            return cast(bytes, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ))
 
 
 def scan(data: bytes, where: Path) -> Scan:
@@ -55,9 +65,10 @@ def scan(data: bytes, where: Path) -> Scan:
     Raises:
         RecordingError: not an MCAP file, or one that asks for more than the limits allow.
     """
-    if not data.startswith(MAGIC):
+    if data[: len(MAGIC)] != MAGIC:
         raise not_mcap(where)
     found, at, total, count = Scan(data, where), len(MAGIC), 0, 0
+    limit = max(MAX_TOTAL, _SPREAD * len(data))
     while at + 9 <= len(data):
         count += 1
         if count > MAX_RECORDS:
@@ -83,9 +94,8 @@ def scan(data: bytes, where: Path) -> Scan:
         if op == Op.CHUNK:
             chunk = read_chunk(data, start, stop, at, where)
             total += chunk.size
-            if total > MAX_TOTAL:
-                raise refuse(f"chunks up to byte {stop} declare {total} B together, limit {MAX_TOTAL}", where,
-                             SPLIT)
+            if total > limit:
+                raise refuse(f"chunks up to byte {stop} declare {total} B together, limit {limit}", where, SPLIT)
             found.chunks.append(chunk)
         elif op == Op.METADATA:
             found.metadata.append((start, stop))

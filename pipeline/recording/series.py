@@ -1,7 +1,7 @@
 """Messages of a recording by topic, unpacked into arrays."""
 
 import struct
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,14 +12,16 @@ from numpy.typing import NDArray
 from pipeline.errors import RecordingError
 from pipeline.recording.cdr import Layout
 from pipeline.recording.dialect import MESSAGE_ENCODING
-from pipeline.recording.errors import DAMAGED, reading, refuse
+from pipeline.recording.errors import DAMAGED, SPLIT, reading, refuse
 from pipeline.recording.fields import text
 from pipeline.recording.records import MESSAGE_FIELDS, MESSAGE_HEAD, Op
-from pipeline.recording.scan import Scan, unpack
+from pipeline.recording.scan import MAX_TOTAL, Scan, unpack
 from pipeline.trace import Rows
 
 MAX_MESSAGES = 4_000_000
 """Above any episode; keeps a file of tiny messages from filling memory."""
+LARGE = 4096
+"""Size of a message that is not kept where nobody wants its topic: pictures [B]."""
 _HEAD = np.dtype([("op", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log", "<u8"),
                   ("publish", "<u8")])
 _PEEK = struct.Struct("<BQH")
@@ -99,19 +101,17 @@ def collect(found: Scan, wanted: Callable[[str], bool], *, tolerant: bool) -> Me
 
     Args:
         found: the scanned file.
-        wanted: which topics to index; the others are only counted.
+        wanted: which topics to index; the others are only counted, and large ones are not kept in memory.
         tolerant: stop at the first damaged chunk instead of raising.
     """
-    channels: dict[int, tuple[str, str]] = {}
-    schemas: dict[int, str] = {}
-    starts: defaultdict[int, list[int]] = defaultdict(list)
+    walk = Walk(wanted)
     plains: list[bytes] = []
     base, broken = 0, None
     for chunk in found.chunks:
         try:
             plain = unpack(chunk, found)
             with reading(found.where, f"chunk at byte {chunk.offset}"):
-                _walk(plain, base, starts, schemas, channels)
+                plain = walk.chunk(plain, base)
         except RecordingError as error:
             if not tolerant:
                 raise
@@ -119,22 +119,24 @@ def collect(found: Scan, wanted: Callable[[str], bool], *, tolerant: bool) -> Me
             break
         plains.append(plain)
         base += len(plain)
-    starts = defaultdict(list, {n: kept for n, s in starts.items() if (kept := [at for at in s if at < base])})
+        if base > MAX_TOTAL:
+            raise refuse(f"messages up to byte {chunk.stop} hold {base} B, limit {MAX_TOTAL}", found.where, SPLIT)
+    walk.cut(base)
     data = plains[0] if len(plains) == 1 else b"".join(plains)
-    return _sort(found, data, starts, channels, wanted, broken)
+    return _sort(found, data, walk, wanted, broken)
 
 
-def _sort(found: Scan, data: bytes, starts: dict[int, list[int]], channels: dict[int, tuple[str, str]],
-          wanted: Callable[[str], bool], broken: RecordingError | None) -> Messages:
+def _sort(found: Scan, data: bytes, walk: "Walk", wanted: Callable[[str], bool],
+          broken: RecordingError | None) -> Messages:
     topics: dict[str, Series] = {}
-    first, last = 1 << 63, 0
-    for number, offsets in starts.items():
-        if number not in channels:
+    first, last = walk.span
+    for number, offsets in walk.starts.items():
+        if number not in walk.channels:
             raise refuse(f"messages on channel {number}, which was never declared", found.where, DAMAGED)
         for at in (offsets[0], offsets[-1]):
             (stamp,) = struct.unpack_from("<Q", data, at + 15)
             first, last = min(first, stamp), max(last, stamp)
-        topic, kind = channels[number]
+        topic, kind = walk.channels[number]
         if wanted(topic):
             if topic in topics:
                 raise refuse(f"topic {topic} has two channels", found.where, "record every topic on one channel")
@@ -142,39 +144,88 @@ def _sort(found: Scan, data: bytes, starts: dict[int, list[int]], channels: dict
             heads = _gather(data, places, _HEAD.itemsize).view(_HEAD)[:, 0]
             topics[topic] = Series(topic, kind, found.where, data, places, heads)
             topics[topic].check_order()
-    total = sum(map(len, starts.values()))
-    return Messages(topics, total, last, first if total else 0, broken, {n: len(s) for n, s in starts.items()})
+    counts = Counter({n: len(s) for n, s in walk.starts.items()}) + walk.left_out
+    total = counts.total()
+    return Messages(topics, total, last, first if total else 0, broken, dict(counts))
 
 
-def _walk(plain: bytes, base: int, starts: defaultdict[int, list[int]], schemas: dict[int, str],
-          channels: dict[int, tuple[str, str]]) -> None:
-    """Note where every message starts, and every schema and channel; ValueError on what cannot be."""
-    at, end, peek, message = 0, len(plain), _PEEK.unpack_from, int(Op.MESSAGE)
-    room = MAX_MESSAGES - sum(map(len, starts.values()))
-    while at < end:
-        op, size, number = peek(plain, at)
-        stop = at + 9 + size
-        room -= 1
-        if room < 0:
-            raise ValueError(f"more than {MAX_MESSAGES} messages")
-        if stop > end:
-            raise ValueError(f"record at byte {at} of the unpacked chunk is cut off")
-        if op == message:
-            if size < MESSAGE_FIELDS:
-                raise ValueError(f"message of {size} B at byte {at} of the unpacked chunk")
-            starts[number].append(base + at)
-        elif op == Op.SCHEMA:
-            schemas[number] = text(plain, at + 11, stop)[0]
-        elif op == Op.CHANNEL:
-            (schema,) = struct.unpack_from("<H", plain, at + 11)
-            topic, after = text(plain, at + 13, stop)
-            encoding, _ = text(plain, after, stop)
-            if encoding != MESSAGE_ENCODING:
-                raise ValueError(f"topic {topic} is encoded as {encoding!r}, not {MESSAGE_ENCODING!r}")
-            channels[number] = (topic, schemas.get(schema, ""))
-        else:
-            raise ValueError(f"record of type {op} at byte {at} of the unpacked chunk")
-        at = stop
+class Walk:
+    """Goes through the records of chunks, one chunk after another, and notes what is where."""
+
+    def __init__(self, wanted: Callable[[str], bool]) -> None:
+        self.starts: defaultdict[int, list[int]] = defaultdict(list)
+        """Channel -> where its messages start in what was kept of all chunks."""
+        self.channels: dict[int, tuple[str, str]] = {}
+        """Channel -> topic and type."""
+        self.left_out: Counter[int] = Counter()
+        """Channel -> messages that nobody wants and that were too large to keep."""
+        self.span = (1 << 63, 0)
+        """Earliest and latest log time of those [ns]."""
+        self._schemas: dict[int, str] = {}
+        self._wanted = wanted
+        self._room = MAX_MESSAGES
+
+    def chunk(self, plain: bytes, base: int) -> bytes:
+        """Note every message, schema and channel; ValueError on what cannot be.
+
+        Args:
+            plain: the unpacked chunk.
+            base: bytes that were kept of the chunks before it.
+
+        Returns:
+            What is kept of it: `plain` without large messages of topics that nobody wants.
+        """
+        at, end, peek, message = 0, len(plain), _PEEK.unpack_from, int(Op.MESSAGE)
+        gone: list[tuple[int, int]] = []
+        while at < end:
+            op, size, number = peek(plain, at)
+            stop = at + 9 + size
+            self._room -= 1
+            if self._room < 0:
+                raise ValueError(f"more than {MAX_MESSAGES} messages")
+            if stop > end:
+                raise ValueError(f"record at byte {at} of the unpacked chunk is cut off")
+            if op == message:
+                if size < MESSAGE_FIELDS:
+                    raise ValueError(f"message of {size} B at byte {at} of the unpacked chunk")
+                if size > LARGE and number in self.channels and not self._wanted(self.channels[number][0]):
+                    gone.append((at, stop))
+                    base -= stop - at
+                else:
+                    self.starts[number].append(base + at)
+            elif op == Op.SCHEMA:
+                self._schemas[number] = text(plain, at + 11, stop)[0]
+            elif op == Op.CHANNEL:
+                self._declare(plain, number, at, stop)
+            else:
+                raise ValueError(f"record of type {op} at byte {at} of the unpacked chunk")
+            at = stop
+        return self._without(plain, gone) if gone else plain
+
+    def cut(self, base: int) -> None:
+        """Forget the messages from byte `base` on: their chunk turned out to be damaged."""
+        for number, starts in list(self.starts.items()):
+            self.starts[number] = [at for at in starts if at < base]
+            if not self.starts[number]:
+                del self.starts[number]
+
+    def _declare(self, plain: bytes, number: int, at: int, stop: int) -> None:
+        (schema,) = struct.unpack_from("<H", plain, at + 11)
+        topic, after = text(plain, at + 13, stop)
+        encoding, _ = text(plain, after, stop)
+        if encoding != MESSAGE_ENCODING:
+            raise ValueError(f"topic {topic} is encoded as {encoding!r}, not {MESSAGE_ENCODING!r}")
+        self.channels[number] = (topic, self._schemas.get(schema, ""))
+
+    def _without(self, plain: bytes, gone: list[tuple[int, int]]) -> bytes:
+        first, last = self.span
+        for at, _ in gone:
+            number, _, stamp = struct.unpack_from("<HIQ", plain, at + 9)
+            self.left_out[number] += 1
+            first, last = min(first, stamp), max(last, stamp)
+        self.span = (first, last)
+        edges = [0, *(edge for span in gone for edge in span), len(plain)]
+        return b"".join(plain[a:b] for a, b in zip(edges[::2], edges[1::2], strict=True))
 
 
 def _gather(data: bytes, starts: NDArray[np.intp], size: int) -> NDArray[np.uint8]:
