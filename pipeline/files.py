@@ -2,10 +2,10 @@
 
 import hashlib
 import os
+import secrets
 from collections.abc import Generator, Iterable
 from contextlib import contextmanager
 from pathlib import Path
-from tempfile import NamedTemporaryFile
 from typing import IO
 
 
@@ -13,15 +13,16 @@ from typing import IO
 def atomic(path: Path) -> Generator[IO[bytes]]:
     """Write all of `path` or none of it: readers never see half a file."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as tmp:
+    part = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    with part.open("xb") as stream:  # not tempfile: what it makes nobody else may read, whatever the umask says
         try:
-            yield tmp  # type: ignore[misc]
-            tmp.flush()
-            os.fsync(tmp.fileno())  # the name must not outlive a power cut its bytes did not
-            Path(tmp.name).replace(path)
+            yield stream
+            stream.flush()
+            os.fsync(stream.fileno())  # the name must not outlive a power cut its bytes did not
+            part.replace(path)
             sync_folder(path.parent)
         except BaseException:
-            Path(tmp.name).unlink(missing_ok=True)
+            part.unlink(missing_ok=True)
             raise
 
 
