@@ -114,7 +114,7 @@ def _strings(found: Scan, name: str) -> dict[str, str]:
 
 
 def _messages(found: Scan, kept: Kept) -> Iterator[tuple[int, str, int, int, bytes, bool]]:
-    """Sequence, topic, log and publish time, payload of every message in whole chunks, and whether it ends its chunk."""
+    """Sequence, topic, log time, publish time, payload of all messages in whole chunks; whether it ends its chunk."""
     walk = Walk(lambda _: True)
     for chunk in found.chunks:
         walk.starts.clear()
