@@ -93,6 +93,18 @@ MIGRATIONS: tuple[str, ...] = (
     ) STRICT;
     CREATE INDEX checked_subject ON checked (subject);
     """,
+    """
+    CREATE TABLE raw_log (id TEXT PRIMARY KEY, json TEXT NOT NULL) STRICT;
+    CREATE TABLE conversion (
+        place INTEGER PRIMARY KEY, id TEXT NOT NULL UNIQUE, log TEXT NOT NULL REFERENCES raw_log (id),
+        state TEXT NOT NULL, json TEXT NOT NULL
+    ) STRICT;
+    CREATE INDEX conversion_log ON conversion (log);
+    CREATE TABLE ingestion (
+        place INTEGER PRIMARY KEY, id TEXT NOT NULL UNIQUE, conversion TEXT NOT NULL REFERENCES conversion (id),
+        json TEXT NOT NULL
+    ) STRICT;
+    """,
 )
 """Migration k brings a catalog from schema k to k + 1. Never edit one that was released; append."""
 

@@ -32,6 +32,23 @@ def checked(store: Reader, subject: str | None) -> dict[str, str]:
     return {"check": f"{told}; {len(verdict.checks)} checks, contract {verdict.contract[:12]}, code {verdict.code[:12]}"}
 
 
+def foreign(store: Reader, episodes: Iterable[Episode], full: bool) -> dict[str, str]:
+    """Where ingested episodes come from: the raw logs by hash, the maps, what was said of them, and the code."""
+    found = {i.id: i for e in episodes if (i := store.ingestion_of(e)) is not None}
+    if not found:
+        return {}
+    made_by = [c for i in found.values() if (c := store.conversion(i.conversion)) is not None]
+    logs = [log for c in made_by if (log := store.raw_log(c.log)) is not None]
+    told = {
+        "logs": [f"{log.id if full or len(logs) == 1 else log.id[:12]} ({log.source}, {log.size_bytes} B)"
+                 for log in logs],
+        "maps": [f"{i.declared.name} (robot {i.declared.robot}, operator {i.declared.operator or 'not told'}, "
+                 f"site {i.declared.site or 'not told'})" for i in found.values()],
+        "conversions": [f"{c.id} (code {c.code if full else c.code[:12]})" for c in made_by],
+    }
+    return {name: some(list(dict.fromkeys(lines)), full) for name, lines in told.items()}
+
+
 def codes(store: Reader, ids: list[str]) -> str:
     """Code hashes of the steps that added some episodes, by stage and generation."""
     rows = store.query(

@@ -17,7 +17,8 @@ GRACE_S = 3600.0
 """Age below which nothing is garbage [s]: a running step writes files before the row that mentions them."""
 
 FOLDERS = ("versions", "policies", "releases")
-TABLES = ("run", "invocation", "step", "policy", "episode", "version", "verdict", "release", "hard_case")
+TABLES = ("run", "invocation", "step", "policy", "episode", "version", "verdict", "release", "hard_case",
+          "raw_log", "conversion", "ingestion")
 
 _FOLDER = re.compile(rf"(?:{'|'.join(FOLDERS)})/[^/\"\\]+")
 _TEMPORARY = re.compile(r"\..+\.[a-z0-9_]{8}")  # as pipeline.files.atomic names them

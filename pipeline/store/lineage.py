@@ -8,13 +8,13 @@ from typing import Literal
 from pydantic import Field
 
 from pipeline.files import sha256
-from pipeline.store.facts import checked, codes, draw_ranges, made, outcome, releases, some, unit_of, users
+from pipeline.store.facts import checked, codes, draw_ranges, foreign, made, outcome, releases, some, unit_of, users
 from pipeline.store.reader import Reader
 from pipeline.store.records import RunInfo
 from schemas.base import Frozen
 from schemas.episode import Episode
 
-type Kind = Literal["policy", "version", "group", "episode", "verdict", "hard_case", "run"]
+type Kind = Literal["policy", "version", "group", "episode", "verdict", "hard_case", "run", "raw_log", "conversion"]
 
 
 class Lineage(Frozen):
@@ -111,6 +111,7 @@ def _group(store: Reader, origin: str, episodes: Sequence[Episode], full: bool) 
         facts["acted"] = ", ".join(f"policy {id}" for id in actors)
     if parents:
         facts["parents"] = f"{len(parents)}: {some(parents, full)}"
+    facts |= foreign(store, episodes, full)
     if code := codes(store, [e.id for e in episodes]):
         facts["code"] = code
     blobs = list(dict.fromkeys(e.blob for e in [*episodes, *store.episodes(parents)] if e.blob))
@@ -144,7 +145,7 @@ def _episode(store: Reader, id: str, full: bool, role: str = "", forward: bool =
     children = [_hard_case_line(store, c.id) for c in cases]
     if e.parent:
         children.append(_episode(store, e.parent, full, "parent", forward=False))
-    facts = node.facts | made(store, "episode", id) | checked(store, e.blob)
+    facts = node.facts | foreign(store, [e], full) | made(store, "episode", id) | checked(store, e.blob)
     if forward:
         children += _runs(store, "episode", id, full)
         facts |= users(store, id, full)
@@ -199,6 +200,23 @@ def _run(store: Reader, id: str, full: bool, role: str = "") -> Lineage:
     return Lineage(kind="run", id=id, role=role, facts=facts)
 
 
+def _raw_log(store: Reader, id: str, full: bool) -> Lineage:
+    """Forward: what was made of a foreign log, and who used that."""
+    log = store.raw_log(id)
+    assert log is not None, "it was found by its id"
+    children: list[Lineage] = []
+    for c in store.conversions(id):
+        episodes = [str(e) for (e,) in store.query(
+            "SELECT episode.id FROM ingestion JOIN episode ON episode.transform = 'ingest ' || ingestion.id"
+            " WHERE ingestion.conversion = ? ORDER BY episode.place", (c.id,))]
+        facts = {"state": f"{c.state}{': ' + c.reason if c.reason else ''}", "code": c.code,
+                 "episodes": f"{len(episodes)}: {some(episodes, full)}" if episodes else "none"}
+        children.append(Lineage(kind="conversion", id=c.id, role="made of it",
+                                facts=facts | (users(store, episodes[0], full) if episodes else {})))
+    facts = {"size": f"{log.size_bytes} B", "first ingested from": log.source, **checked(store, id)}
+    return Lineage(kind="raw_log", id=id, facts=facts, children=tuple(children))
+
+
 TELL: MappingProxyType[str, Callable[[Reader, str, bool], Lineage]] = MappingProxyType(
     {
         "policy": _policy,
@@ -207,6 +225,7 @@ TELL: MappingProxyType[str, Callable[[Reader, str, bool], Lineage]] = MappingPro
         "hard_case": _hard_case,
         "episode": _episode,
         "run": _run,
+        "raw_log": _raw_log,
     }
 )
 """Table -> how its rows are explained."""

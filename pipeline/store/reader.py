@@ -9,9 +9,11 @@ from pipeline.store.catalog import Catalog
 from pipeline.store.checks import check_history, checks_of
 from pipeline.store.consents import consents, unknown_consent
 from pipeline.store.folder import check_id, check_prefix
+from pipeline.store.ingests import conversion, conversions, ingestion_of, raw_log
 from pipeline.store.records import RunInfo, StepManifest
 from schemas.base import Frozen
 from schemas.consent import Consent
+from schemas.conversion import Conversion, Ingestion, RawLog
 from schemas.dataset import DatasetVersion
 from schemas.episode import Episode
 from schemas.finding import CheckVerdict
@@ -20,7 +22,7 @@ from schemas.policy import PolicyRecord
 from schemas.release import Release
 from schemas.verdict import Verdict
 
-TABLES = ("policy", "version", "verdict", "hard_case", "episode", "run")
+TABLES = ("policy", "version", "verdict", "hard_case", "episode", "run", "raw_log")
 """Tables whose rows have an id, in the order in which `find` looks."""
 
 
@@ -166,6 +168,22 @@ class Reader:
     def check_history(self, subject: str) -> list[CheckVerdict]:
         """Every verdict on a recording or dataset, the last one last."""
         return check_history(self._catalog, subject)
+
+    def raw_log(self, id: str) -> RawLog | None:
+        """A foreign log by its whole hash, or None."""
+        return raw_log(self._catalog, id)
+
+    def conversion(self, id: str) -> Conversion | None:
+        """What was made of a foreign log, or None where nothing has this id yet."""
+        return conversion(self._catalog, id)
+
+    def conversions(self, log: str) -> list[Conversion]:
+        """Everything that was ever made of a foreign log, oldest first."""
+        return conversions(self._catalog, log)
+
+    def ingestion_of(self, episode: Episode) -> Ingestion | None:
+        """What made an ingested episode; None for any other."""
+        return ingestion_of(self._catalog, episode)
 
     def query(self, sql: str, parameters: tuple[object, ...] = ()) -> list[tuple[object, ...]]:
         """Rows of the catalog; for lineage, garbage and reports, which ask across tables. Reading only."""

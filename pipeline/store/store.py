@@ -1,6 +1,6 @@
 """The store: what every stage reads from and commits to."""
 
-from collections.abc import Generator, Iterable
+from collections.abc import Generator, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from datetime import datetime
@@ -26,11 +26,15 @@ from pipeline.store.folder import (
     refuse_low_space,
     refuse_network,
 )
+from pipeline.store.ingests import add_conversion, add_ingestion, add_raw_log, add_version_of_logs
 from pipeline.store.lease import Lease
 from pipeline.store.process import Holder
 from pipeline.store.reader import Reader
 from pipeline.store.transaction import Transaction
 from schemas.consent import Consent
+from schemas.conversion import Conversion, Ingestion, RawLog
+from schemas.dataset import DatasetVersion
+from schemas.episode import Episode
 from schemas.finding import CheckVerdict
 
 WAITING = 8
@@ -161,6 +165,22 @@ class Store(Reader):
         """Keep what the checks found; it belongs to no run and needs no lease."""
         add_check(self._catalog, verdict)
 
+    def add_raw_log(self, log: RawLog) -> None:
+        """Note a foreign log whose bytes are a blob already; like all of its kind it needs no lease."""
+        add_raw_log(self._catalog, self._blobs, log)
+
+    def add_conversion(self, conversion: Conversion) -> None:
+        """Note what was made of a foreign log, or why nothing was."""
+        add_conversion(self._catalog, self._blobs, conversion)
+
+    def add_ingestion(self, ingestion: Ingestion, episodes: Sequence[Episode]) -> None:
+        """Note what a map says about a conversion, and the episodes that follow from both."""
+        add_ingestion(self._catalog, ingestion, episodes)
+
+    def add_version_of_logs(self, version: DatasetVersion) -> None:
+        """Note a dataset version that was built from ingested episodes alone."""
+        add_version_of_logs(self._catalog, self._blobs, version)
+
     @contextmanager
     def exclusive(self) -> Generator[None]:
         """Keep every commit of every process out while the body runs; gc deletes in it."""
@@ -194,7 +214,9 @@ class Store(Reader):
     def verify(self) -> list[StoreError]:
         """Read every blob and policy file that the catalog speaks of; one error for each that changed."""
         damage: list[StoreError] = []
-        for (sha,) in self.query("SELECT blob FROM episode WHERE blob NOT NULL UNION SELECT blob FROM version_input"):
+        for (sha,) in self.query("SELECT blob FROM episode WHERE blob NOT NULL UNION SELECT blob FROM version_input"
+                                 " UNION SELECT id FROM raw_log UNION SELECT value FROM conversion,"
+                                 " json_each(conversion.json, '$.files')"):
             try:
                 self._blobs.verify(str(sha))
             except StoreError as error:
