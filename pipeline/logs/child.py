@@ -192,7 +192,7 @@ def _value(answer: dict[str, Any], where: Path, limits: Limits) -> Any:
     code = answer["died"]
     if code in _TIMES:
         seconds = limits.wall_s if code == -signal.SIGALRM else limits.cpu_s
-        raise RecordingError(f"takes more than {seconds:.0f} s of {_TIMES[code]} to read; quarantined", where=where,
+        raise RecordingError(f"takes more than {seconds:.3g} s of {_TIMES[code]} to read; quarantined", where=where,
                              mend=_HOSTILE)
     how = signal.Signals(-code).name if isinstance(code, int) and code < 0 else f"exit code {code}"
     raise RecordingError(f"the process that read it died ({how}); quarantined", where=where, mend=_REPORT)

@@ -21,7 +21,7 @@ from pipeline.recording.fields import Chunk, attachment, pairs, text
 from pipeline.recording.records import MAGIC, MESSAGE_FIELDS, Op
 from pipeline.recording.unpacking import MAX_BYTES, absurd, plain_bytes, read_chunk
 
-MAX_PLAIN, PLAIN_A_BYTE = 256 << 20, 200
+MAX_PLAIN, PLAIN_A_BYTE = 128 << 20, 200
 """All chunks of a log together, unpacked [B]: for a small log, and what each byte of the file adds to it."""
 MAX_RECORDS, BYTES_A_RECORD = 500_000, 64
 """Records other than messages: for a small log, and how many bytes of the file allow one more. The smallest
