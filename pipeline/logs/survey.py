@@ -32,7 +32,7 @@ _MAGIC = {b"\xff\xd8\xff": "jpeg", b"\x89PN": "png", b"\x00\x00\x00": "video", b
 class NumbersSeen(Frozen):
     """A field of numbers."""
 
-    widths: tuple[int, ...] = Field(description="values a message, every number that was seen; 0 for a single value")
+    widths: tuple[int, ...] = Field(description="values a message, every number of them that was seen")
     low: float | None = Field(description="smallest finite value")
     high: float | None
     integral: bool = Field(description="integers or truth values")
@@ -149,7 +149,7 @@ class _Seen:
         if fields.bad and not self.bad_reason:
             self.bad_reason = fields.bad[0][1]
         for path, values in fields.values.items():
-            self._number(path, values, [values.shape[1] if values.ndim == 2 else 0])
+            self._number(path, values, [values.shape[1] if values.ndim == 2 else 1])
         for path, rows in fields.ragged.items():
             self._number(path, np.concatenate(rows), [len(row) for row in rows])
         for path, texts in fields.texts.items():
