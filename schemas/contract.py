@@ -116,8 +116,10 @@ class Thresholds(Frozen):
     flat_grey: float = Field(default=4.0, gt=0, description="standard deviation of a picture that shows nothing")
     swap_margin: float = Field(default=0.1, gt=0, description="by how much a camera must look more like the other one "
                                "than like itself, in correlation")
-    video_shift_s: float = Field(default=0.25, gt=0, description="video against joints [s]; clean: at most 2 frames")
-    video_gain: float = Field(default=0.1, gt=0, description="how much better the shifted video must fit, in correlation")
+    video_shift_s: float = Field(default=0.2, gt=0, description="video against joints [s]; clean: 0.04 at most, cameras "
+                                 "that stamp late 0.1")
+    video_gain: float = Field(default=0.03, gt=0, description="how much better the shifted video must fit, in "
+                              "correlation: in an attempt that mostly stands still every shift fits")
     frames_share: float = Field(default=0.02, ge=0, description="share of pictures that may be missing against the rows")
     twin_rms: float = Field(default=0.0005, ge=0, description="root mean square distance of two recordings of one motion, "
                             "in ranges of the signal: a copy through another format; replays with other physics differ "

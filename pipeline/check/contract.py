@@ -8,11 +8,11 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import yaml
 
-from pipeline.check.cameras import fingerprint
+from pipeline.check.swapped import fingerprint
 from pipeline.check.motion import unit_of
 from pipeline.check.signals import Column, Signals, Subject
 from pipeline.documents import load_document
-from pipeline.frames import ACTION, ENVIRONMENT, FEATURES, STATE
+from pipeline.frames import ENVIRONMENT, FEATURES, STATE
 from pipeline.recording.dialect import FRAME_TOPICS, topic_type
 from pipeline.simulation.tasks import TASKS
 from schemas.contract import CameraRule, Contract, Evaluation, Limit, Pair, Success, TopicRule
@@ -27,6 +27,8 @@ PAIRS = (
     Pair(measured="observation.state", commanded="action"),
 )
 """What follows what, in our recordings and versions and in any dataset whose state and action share names."""
+KNOWN = frozenset((*STATE, *ENVIRONMENT))
+"""Columns whose unit is known by their name, wherever they are recorded."""
 MAX_URDF = 4 << 20
 URDF_SPEEDLESS = 1e5
 """Velocity limits from here on stand for none [rad/s, m/s]; see pipeline.simulation.urdf.UNLIMITED."""
@@ -78,9 +80,11 @@ def _limits(signals: Signals) -> dict[str, dict[str, Limit]]:
     joints = urdf_limits(signals.attachments.get("robot.urdf", b""))
     found: dict[str, dict[str, Limit]] = {}
     for reference, _, column in signals.numbers():
+        if reference.endswith((".velocity", ".effort")):
+            continue
         if reference.endswith(("joint_states.position", "joint_commands.position")):
             found[reference] = {n: joints.get(n, Limit(unit=unit_of(n, Contract(), reference))) for n in column.names}
-        elif reference in FEATURES and column.names == FEATURES[reference] and reference != "action":
+        elif reference != "action" and set(column.names) <= KNOWN:
             found[reference] = {n: Limit(unit="rad" if "joint" in n or "yaw" in n else "m") for n in column.names}
     return {reference: limits for reference, limits in found.items() if limits}
 
@@ -210,6 +214,3 @@ def to_yaml(contract: Contract) -> str:
     """The contract as a person edits it: what is at its default is left out."""
     content = contract.model_dump(mode="json", exclude_defaults=True)
     return yaml.safe_dump({"name": contract.name, **content}, sort_keys=False, allow_unicode=True, width=120)
-
-
-__all__ = ["ACTION", "ENVIRONMENT", "STATE", "completed", "from_log", "load_contract", "to_yaml", "urdf_limits"]

@@ -95,7 +95,8 @@ def _attachments(log: LogReader, faults: dict[str, str]) -> dict[str, bytes]:
 
 
 def _episode(metadata: dict[str, dict[str, str]]) -> Episode | None:
-    text = metadata.get("episode", {}).get("episode_json")
+    record = metadata.get("episode") or metadata.get("episode_start") or {}  # a recording that was never closed
+    text = record.get("episode_json")
     try:
         return Episode.model_validate_json(text) if text else None
     except ValidationError:
@@ -190,11 +191,12 @@ class _Pictures:
     prints: list[bytes] = field(default_factory=list[bytes])
     size: tuple[int, int] = (0, 0)
     broken: int = 0
+    frame: str = ""
 
     def add(self, batch: Batch, fields: Fields) -> None:
         """Decode the pictures of a batch."""
-        self.stamps.append((batch.log_ns if fields.header_ns is None else fields.header_ns)[:len(fields)]
-                           if fields.header_ns is not None else batch.log_ns[fields.rows])
+        self.stamps.append(batch.log_ns[fields.rows] if fields.header_ns is None else fields.header_ns)
+        self.frame = self.frame or next(iter(fields.texts.get("header.frame_id", ())), "")
         for k, blob in enumerate(next(iter(fields.blobs.values()))):
             found = self._decoded(fields, k, blob)
             if found is None:
@@ -213,4 +215,4 @@ class _Pictures:
     def camera(self, name: str) -> Camera:
         """All pictures as one camera."""
         return Camera(name, np.concatenate(self.stamps), np.stack(self.thumbs), tuple(self.prints), self.size,
-                      self.broken)
+                      self.broken, self.frame)

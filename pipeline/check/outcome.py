@@ -31,7 +31,7 @@ def success_flag(signals: Signals, contract: Contract) -> Iterator[Finding]:
     rule, slack = contract.success, contract.thresholds.success_slack_m
     near = np.hypot(found["object_x"] - found["target_x"], found["object_y"] - found["target_y"])
     away = np.sqrt(sum((found[f"ee_{k}"] - found[f"object_{k}"]) ** 2 for k in "xyz"))
-    last = slice(-rule.hold_ticks, None)
+    last = slice(1 - max(rule.hold_ticks, 2), None)  # the attempt ends at the tick after its last row
     where, mend = signals.name, "label the episode again, or drop it: a wrong flag teaches failures as successes"
     if label == "success" and near[-1] > rule.within_m + slack:
         yield Finding(check="success-flag", what=f"recorded as success, but the object ends {near[-1] * 1e3:.0f} mm off "

@@ -86,6 +86,8 @@ class Camera:
     """Width and height of the full picture [px]."""
     broken: int = 0
     """Pictures that do not decode; black in `thumbs`."""
+    frame: str = ""
+    """The frame that the pictures' headers name."""
 
     @property
     def energy(self) -> Rows:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable
 from types import MappingProxyType
 from typing import NamedTuple
 
-from pipeline.check import cameras, fit, identity, messages, motion, outcome, timing, values, video
+from pipeline.check import cameras, fit, identity, messages, motion, outcome, swapped, timing, values, video
 from pipeline.check.signals import Signals, Subject
 from schemas.contract import Contract
 from schemas.finding import Finding
@@ -140,7 +140,7 @@ CHECKS: MappingProxyType[str, Entry] = MappingProxyType({
     "spikes": Entry(_each(motion.spikes), _motion, "a reading jumps out and back within one sample"),
     "black-camera": Entry(_each(cameras.black_camera), _cameras, "pictures show nothing, or do not decode"),
     "frozen-camera": Entry(_each(cameras.frozen_camera), _moving_cameras, "the same picture while the robot moves"),
-    "swapped-cameras": Entry(cameras.swapped_cameras, _two_cameras, "two cameras show what the other one should"),
+    "swapped-cameras": Entry(swapped.swapped_cameras, _two_cameras, "two cameras show what the other one should"),
     "frames": Entry(video.frames, _pictures, "fewer or more pictures or messages than rows"),
     "shifted-video": Entry(_each(video.shifted_video), _moving_cameras, "pictures move before or after the joints do"),
     "success-flag": Entry(_each(outcome.success_flag), _outcome, "the recorded outcome is not what the robot perceived"),

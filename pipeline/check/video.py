@@ -3,10 +3,12 @@
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.check.following import best_lag, resample
 from pipeline.check.motion import followed
-from pipeline.check.signals import Camera, Signals, Subject
+from pipeline.check.projection import tool_track
+from pipeline.check.signals import Camera, Rows, Signals, Subject
 from schemas.contract import Contract
 from schemas.finding import Finding
 
@@ -44,7 +46,7 @@ def _ticks(signals: Signals) -> Iterator[Finding]:
                           mend="drop the episode, or record it again with a longer queue")
 
 
-def _every_tick(sequence: np.ndarray) -> bool:
+def _every_tick(sequence: NDArray[np.int64]) -> bool:
     steps = np.diff(sequence)
     return bool(np.mean(steps == 1) > 0.8)
 
@@ -67,27 +69,29 @@ def _holes(signals: Signals, camera: Camera, contract: Contract) -> Iterator[Fin
 
 
 def shifted_video(signals: Signals, contract: Contract) -> Iterator[Finding]:
-    """Pictures that move when the robot does not: motion in the picture against motion of the joints."""
+    """Pictures that move when the robot does not: motion in the picture against motion of the tool, or of the joints.
+
+    Roots of both are compared, so that the few pictures in which the whole arm swings do not decide alone.
+    """
     limits = contract.thresholds
-    both = next((f for f in followed(signals, contract) if f.pair.kind == "target"), None)
-    if both is None:
+    moving = _moving(signals, contract)
+    if moving is None:
         return
-    speed = np.abs(np.diff(both.measured, axis=0, prepend=both.measured[:1])).sum(axis=1)
-    topic = both.topic
-    zero = int((topic.log_ns if topic.header_ns is None else topic.header_ns)[0])
+    stamps_ns, speed, period_s = moving
+    zero = int(stamps_ns[0])
+    own = (stamps_ns - zero) / 1e9
     for name, camera in signals.cameras.items():
         if len(camera.thumbs) < MANY or not camera.energy.any():
             continue
         stamps = (camera.stamps_ns - zero) / 1e9
-        period = max(both.period_s, float(np.median(np.diff(stamps))))
-        start, stop = max(both.clock_s[0], stamps[0]), min(both.clock_s[-1], stamps[-1])
-        clock = np.arange(start, stop, period)
+        period = max(period_s, float(np.median(np.diff(stamps))))
+        clock = np.arange(max(own[0], stamps[0]), min(own[-1], stamps[-1]), period, dtype=np.float64)
         if len(clock) < MANY:
             continue
-        allowed = (-limits.video_shift_s, limits.video_shift_s)
-        fit = best_lag(resample(both.clock_s, speed[:, None], clock), resample(stamps, camera.energy[:, None], clock),
-                       period, allowed_s=allowed)
-        if fit is None or fit.correlation < limits.lag_correlation or fit.correlation < fit.within + limits.video_gain:
+        fit = best_lag(resample(own, np.sqrt(speed)[:, None], clock),
+                       resample(stamps, np.sqrt(camera.energy)[:, None], clock), period,
+                       allowed_s=(-limits.video_shift_s, limits.video_shift_s))
+        if fit is None or fit.correlation < max(limits.lag_correlation, fit.within + limits.video_gain):
             continue
         if abs(fit.lag_s) > limits.video_shift_s:
             side = "behind" if fit.lag_s > 0 else "ahead of"
@@ -95,3 +99,17 @@ def shifted_video(signals: Signals, contract: Contract) -> Iterator[Finding]:
                           f"({abs(fit.lag_s) / period:.0f} frames)", where=name, value=fit.lag_s,
                           limit=limits.video_shift_s,
                           mend="stamp pictures when they are exposed, and align rows by stamps, not by number")
+
+
+def _moving(signals: Signals, contract: Contract) -> tuple[NDArray[np.int64], Rows, float] | None:
+    """Stamps [ns], speed and period [s] of the tool where it is recorded, else of all joints of the first pair."""
+    track = tool_track(signals)
+    if track is not None and len(track[0]) >= MANY:
+        steps = np.linalg.norm(np.diff(track[1], axis=0, prepend=track[1][:1]), axis=1)
+        return track[0], steps, float(np.median(np.diff(track[0]))) / 1e9
+    for both in followed(signals, contract):
+        if both.pair.kind == "target":
+            stamps = both.topic.log_ns if both.topic.header_ns is None else both.topic.header_ns
+            speed = np.abs(np.diff(both.measured, axis=0, prepend=both.measured[:1])).sum(axis=1)
+            return int(stamps[0]) + np.round(both.clock_s * 1e9).astype(np.int64), speed, both.period_s
+    return None
