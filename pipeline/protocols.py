@@ -1,6 +1,6 @@
 """What a robot, a policy, an input device, a trigger and a recorder must be able to do: the seams of the loop."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, Protocol
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from pipeline.recording.live_rows import Row, TickLayout
     from pipeline.triggers import Senses
+    from schemas.episode import Outcome
     from schemas.scene import SceneSpec
 
 type Array = NDArray[np.float64]
@@ -121,6 +122,35 @@ class LiveRobot(Robot, Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """What one camera saw."""
+
+    camera: str
+    pixels: NDArray[np.uint8] | bytes
+    """RGB, shape (height, width, 3), or a JPEG as many cameras give it."""
+    stamp_ns: int | None = None
+    """When it was taken, on the recording's clock; when it is handed on where None [ns]."""
+    tick: int | None = None
+    """The tick whose state it shows; the one that comes next where None."""
+
+
+class Cameras(Protocol):
+    """Any number of cameras, rendered or real; all methods are called in one thread of their own."""
+
+    def open(self) -> None:
+        """Make them ready; HardcaseError says what is missing."""
+        ...
+
+    def read(self, timeout_s: float) -> Sequence[Picture]:
+        """Pictures that are new since the last call; none after `timeout_s` [s]. HardcaseError where one is gone."""
+        ...
+
+    def close(self) -> None:
+        """Give them back; may be called where `open` has failed."""
+        ...
+
+
 type Call = Literal["take-over", "success", "failure", "unknown", "next", "quit"]
 """What a person says to the session rather than to the robot."""
 
@@ -184,8 +214,28 @@ class Trigger(Protocol):
 
 
 class Recorder(Protocol):
-    """Takes what happened and makes it a file that is whole or absent."""
+    """Takes what happens and makes it a file that is whole or absent; every call but the last returns at once.
 
-    def close(self) -> None:
-        """Finish the file; raises what the disk reported."""
+    A call returns False where the message was lost: the queue is full, or the disk has failed.
+    """
+
+    def tick(self, tick: int, row: "Row | Array", *, stamp_ns: int | None = None) -> bool:
+        """All messages of one tick, or none of them."""
+        ...
+
+    def write(self, topic: str, payload: bytes, *, tick: int | None = None, stamp_ns: int | None = None) -> bool:
+        """One message of a topic of the dialect, encoded already."""
+        ...
+
+    def image(self, camera: str, picture: NDArray[np.uint8] | bytes, *, tick: int | None = None,
+              stamp_ns: int | None = None) -> bool:
+        """What a camera saw, RGB of shape (height, width, 3), or a JPEG."""
+        ...
+
+    def segment(self, kind: str, actor: str, *, tick: int | None = None) -> bool:
+        """From this tick on somebody else commands."""
+        ...
+
+    def close(self, outcome: "Outcome | None" = None) -> object:
+        """Finish the file; raises what the disk reported first."""
         ...

@@ -75,8 +75,8 @@ class LiveWriter:
             low: give way first: pictures, of which the next one is nearly as good.
         """
         with self._lock:
-            self._newest = item.tick
-            if self.error is not None or self._held + size > (self._room * _LOW if low else self._room):
+            self._newest, over = item.tick, self.error is not None or self._stop.is_set()
+            if over or self._held + size > (self._room * _LOW if low else self._room):
                 self.dropped[item.topic] += 1
                 return False
             self._items.append(item)
@@ -119,8 +119,14 @@ class LiveWriter:
             items, self._items, self._held = self._items, deque[Item](), 0
             new = self.dropped - self._told
             self._told, tick = Counter(self.dropped), self._newest
-        for item in items:
-            item.encode(self._file)
+        while items:
+            try:
+                items[0].encode(self._file)
+            except Exception:
+                with self._lock:
+                    self.dropped.update(item.topic for item in items)
+                raise
+            items.popleft()
             if self._file.chunk_bytes >= CHUNK_BYTES:
                 self._file.seal()
                 self._write()

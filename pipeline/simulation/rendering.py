@@ -151,6 +151,10 @@ class FilmCamera:
         self._renderer.free()
         self._context.free()
 
+    def look(self, camera: str | View | None) -> None:
+        """See through another camera from now on; SimulationError where the model has none of that name."""
+        self._view = _view(self.model, camera)
+
     def frames(self, rows: NDArray[np.float64]) -> NDArray[np.uint8]:
         """Pictures of k states, mjSTATE_INTEGRATION rows of shape (k, nstate): (k, height, width, 3).
 

@@ -1,0 +1,78 @@
+"""Cameras of a scene, rendered while the robot moves, in a thread that the control loop does not wait for."""
+
+# mujoco is a compiled package without type stubs
+# pyright: reportMissingTypeStubs=false, reportAttributeAccessIssue=false, reportUnknownMemberType=false
+# pyright: reportUnknownVariableType=false, reportUnknownParameterType=false, reportUnknownArgumentType=false
+
+import threading
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import unknown
+from pipeline.protocols import Picture
+from pipeline.simulation.rendering import FilmCamera
+
+
+class SceneCameras:
+    """Renders the newest state that it was shown, through any number of the model's cameras; see protocols.Cameras.
+
+    A state that comes while the one before is being rendered waits; another one takes its place. So cameras fall
+    behind in rate, never in time.
+
+    Args:
+        model: the model of the attempt, its cube of the right size: World.batch.get_model(0).
+        names: cameras of the model.
+        width: of every picture [px].
+        height: of every picture [px].
+
+    Raises:
+        ConfigError: the model has no camera of that name.
+    """
+
+    def __init__(self, model: mujoco.MjModel, names: Sequence[str], *, width: int = 320, height: int = 240) -> None:
+        known = [model.camera(i).name for i in range(model.ncam)]
+        for name in names:
+            if name not in known:
+                raise unknown("camera", name, known)
+        self.names, self.skipped = tuple(names), 0
+        self._model, self._size, self._film = model, (width, height), None
+        self._newest: tuple[NDArray[np.float64], int, int] | None = None
+        self._new = threading.Condition()
+
+    def show(self, state: NDArray[np.float64], tick: int, stamp_ns: int) -> None:
+        """Let the cameras take a state, an mjSTATE_INTEGRATION row that nobody changes afterwards; does not wait."""
+        with self._new:
+            self.skipped += self._newest is not None
+            self._newest = (state, tick, stamp_ns)
+            self._new.notify()
+
+    def open(self) -> None:
+        """Open the renderer, in the thread that reads; SimulationError where nothing can render here."""
+        width, height = self._size
+        self._film = FilmCamera(self._model, camera=self.names[0] if self.names else None, width=width, height=height)
+
+    def read(self, timeout_s: float) -> list[Picture]:
+        """One picture a camera of the newest state, or none where nothing new was shown in time."""
+        with self._new:
+            if self._newest is None:
+                self._new.wait(timeout_s)
+            newest, self._newest = self._newest, None
+        if newest is None or self._film is None:
+            return []
+        state, tick, stamp_ns = newest
+        pictures: list[Picture] = []
+        for name in self.names:
+            self._film.look(name)
+            pixels = self._film.frames(state[None])[0]
+            pixels.flags.writeable = False  # nobody writes into it again: a recorder need not copy it
+            pictures.append(Picture(name, pixels, stamp_ns, tick))
+        return pictures
+
+    def close(self) -> None:
+        """Free the renderer."""
+        if self._film is not None:
+            self._film.close()
+            self._film = None
