@@ -8,8 +8,9 @@ from pipeline.lerobot_view.training_data import TrainingData
 from pipeline.shards import write_shard
 from pipeline.simulation.evaluation import evaluate, gate_scenes
 from pipeline.simulation.tasks import load_task
+from schemas.episode import Episode
 from schemas.scene import SceneSpec
-from stages.augment import augment, grasps
+from stages.augment import augment
 from stages.build import build
 from stages.collect import collect
 from stages.gate import gate
@@ -25,20 +26,20 @@ def collected(run: ArmRun) -> Made:
 
 
 def augmented(run: ArmRun, generation: int, progress: Progress) -> Made:
-    """Variants of what is new: of demonstrations at first, of corrections later."""
+    """Variants of the first demonstrations: of their own kinds of start at first, later near what is new.
+
+    A correction's commands answer what the policy had left behind: played elsewhere they fail, and carried over
+    they approach the object in another style than all other data. So in later laps its start is what spreads.
+    """
     config = run.recipe.augment
-    good = [e for e in run.material.fresh(generation) if e.outcome.label == "success"]
-    parents = run.material.usable(good)
-    sources = [(e, run.material.frames(e)) for e in parents]
-    # A correction's commands fit the robot they failed on: played elsewhere they fail again. Where it shows a
-    # grasp it is carried over instead.
-    able = sum(grasps(s) for s in sources)
-    replays, retargets = (0, config.per_correction * able) if generation else (config.replays, config.retargets)
-    if not sources or replays + retargets == 0:
+    parents, near = _successes(run, 0), _successes(run, generation) if generation else []
+    replays, retargets = (0, config.per_correction * len(near)) if generation else (config.replays, config.retargets)
+    if not parents or replays + retargets == 0:
         return Made((), "nothing new to multiply", {}, no_rows)
-    made = augment(sources, config, replays=replays, retargets=retargets, seed=run.seed, generation=generation,
-                   strata=None if generation else _aims(run), threads=run.recipe.threads, arm=run.name,
-                   progress=progress)
+    made = augment([(e, run.material.frames(e)) for e in parents], config, replays=replays, retargets=retargets,
+                   seed=run.seed, generation=generation, threads=run.recipe.threads,
+                   strata=() if generation else _aims(run), near=[(e, run.material.frames(e)) for e in near],
+                   arm=run.name, progress=progress)
     kept = {e.id: made.frames[e.id] for e in made.episodes if config.keep_rejected or e.outcome.label == "success"}
     blob = None
     if kept:
@@ -51,6 +52,11 @@ def augmented(run: ArmRun, generation: int, progress: Progress) -> Made:
     says = f"{len(kept)} of {len(episodes)} variants kept"
     return Made(tuple(kept), says, {"report": made.report.model_dump(mode="json")},
                 lambda tx: tx.add_episodes(episodes))
+
+
+def _successes(run: ArmRun, generation: int) -> list[Episode]:
+    """What was new in a lap, succeeded, and may still teach."""
+    return run.material.usable(e for e in run.material.fresh(generation) if e.outcome.label == "success")
 
 
 def _aims(run: ArmRun) -> tuple[str, ...]:

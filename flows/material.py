@@ -53,7 +53,7 @@ class Material:
         """Name -> ids that a stage read."""
         before = [(g, s) for s in NEEDS.get(stage, ()) for g in (generation,)]
         if stage == "augment" and generation:
-            before = [(generation - 1, "harvest")]
+            before = [(0, "collect"), (generation - 1, "harvest")]
         return {s: ",".join(self.ids(g, s)[:64]) for g, s in before
                 if self._store.step(self._run, g, s) is not None}
 

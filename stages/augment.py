@@ -27,11 +27,7 @@ from schemas.summary import AugmentReport
 HORIZON = 120
 """Longest variant [ticks]."""
 NEARBY_M = 0.04
-"""How far around a correction's start its variants start [m]."""
-CARRIED_M = 0.08
-"""Shortest way that shows how to carry [m]."""
-STRETCH, TRIES = 1.6, 50
-"""Largest factor between the way carried and its variant's, and how often a target is drawn to keep it."""
+"""How far around a given start variants start [m]."""
 CELL_M = 0.02
 """Edge of the workspace cells that coverage counts [m]."""
 
@@ -50,19 +46,21 @@ class Augmented:
 
 
 def augment(parents: Sequence[Parent], config: AugmentConfig, *, replays: int, retargets: int, seed: int,
-            generation: int, strata: Sequence[str] | None, threads: int, arm: str = "",
+            generation: int, threads: int, strata: Sequence[str] = (), near: Sequence[Parent] = (), arm: str = "",
             progress: Callable[[int, int], None] | None = None) -> Augmented:
     """Make variants; the simulator and the success predicate judge each.
 
     Args:
-        parents: attempts that succeeded, with their frames.
+        parents: attempts that succeeded, with their frames; whole demonstrations among them are carried over.
         config: width of the randomization.
         replays: variants that replay the recorded commands at the same start.
         retargets: variants carried over to another start.
         seed: decides parents, starts and draws; the same seed gives the same bits.
         generation: lap of the loop.
-        strata: kinds of start that retargeting aims at; None stays near each parent's own start.
         threads: threads of the engine.
+        strata: kinds of start that demonstrations are carried over to, with the object that they held.
+        near: attempts in whose neighbourhood they are carried over instead: each in turn, start and size of the
+            object as its robot perceived them.
         arm: name of a study's arm: what it makes is its own, also where another arm made the same.
         progress: called as (variants done, variants in all).
     """
@@ -70,19 +68,19 @@ def augment(parents: Sequence[Parent], config: AugmentConfig, *, replays: int, r
     if not parents:
         raise SimulationError("no attempt that succeeded to make variants of", where=f"generation {generation}",
                               mend="collect more demonstrations: hardcase collect")
+    plan = _Plan(config, seed, generation, tuple(strata), tuple(near), arm)
     episodes: list[Episode] = []
     frames: dict[str, Frames] = {}
     for transform, count in (("replay", replays), ("retarget", retargets)):
         able = [p for p in parents if transform == "replay" or grasps(p)]
         if not count or not able:
             continue
-        made = _variants(able, transform, count, config, seed, generation, strata, arm)
-        for episode, kept in _play(made, threads):
+        for episode, kept in _play([plan.variant(able, transform, i) for i in range(count)], threads):
             episodes.append(episode)
             frames[episode.id] = kept
         if progress is not None:
             progress(len(episodes), replays + retargets)
-    return Augmented(tuple(episodes), frames, _report(parents, episodes))
+    return Augmented(tuple(episodes), frames, _report([*parents, *near], episodes))
 
 
 def remake(variant: Episode, parent: Parent, *, threads: int = 1) -> Frames:
@@ -98,25 +96,42 @@ class _Variant:
     frames: Frames
 
 
-def _variants(parents: Sequence[Parent], transform: str, count: int, config: AugmentConfig, seed: int,
-              generation: int, strata: Sequence[str] | None, arm: str) -> list[_Variant]:
-    made: list[_Variant] = []
-    for i in range(count):
-        words = (seed, generation, 0 if transform == "replay" else 1, i)
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    """Which variant is made of what; see the arguments of `augment`."""
+
+    config: AugmentConfig
+    seed: int
+    generation: int
+    strata: tuple[str, ...]
+    near: tuple[Parent, ...]
+    arm: str
+
+    def variant(self, parents: Sequence[Parent], transform: str, i: int) -> _Variant:
+        """The i-th variant of a transform, still to be played."""
+        words = (self.seed, self.generation, 0 if transform == "replay" else 1, i)
         rng = np.random.default_rng([17, *words])
-        parent, frames = parents[int(rng.integers(len(parents)))] if strata else parents[i % len(parents)]
+        parent, frames = parents[int(rng.integers(len(parents)))] if self._elsewhere else parents[i % len(parents)]
         scene = _perceived(parent, frames).model_copy(update={
-            "family": "augment", "seed": scene_seed("augment", *words), "draws": randomize(rng, config.widen)})
-        if transform == "retarget":
-            scene = _elsewhere(scene, rng, strata, _path(parent, frames).carried_m)
+            "family": "augment", "seed": scene_seed("augment", *words), "draws": randomize(rng, self.config.widen)})
+        made_by = transform
+        if transform == "retarget" and self.near:
+            place = self.near[i % len(self.near)]
+            scene, made_by = _close_to(place, scene, rng), f"retarget near {place[0].id}"
+        elif transform == "retarget" and self.strata:
+            scene = _within(self.strata, scene, rng)
         origin = "replayed" if transform == "replay" else "retargeted"
         episode = Episode(
-            id=episode_id(origin, scene, parent.id, transform, *([arm] if arm else [])), origin=origin, scene=scene,
-            control_hz=parent.control_hz, frames=1, outcome=Outcome(label="unknown", judged_by="simulator"),
+            id=episode_id(origin, scene, parent.id, made_by, *([self.arm] if self.arm else [])), origin=origin,
+            scene=scene, control_hz=parent.control_hz, frames=1,
+            outcome=Outcome(label="unknown", judged_by="simulator"),
             segments=(Segment(kind="demonstration", start=0, stop=1, actor="expert"),), parent=parent.id,
-            transform=transform, generation=generation)
-        made.append(_Variant(episode, parent, frames))
-    return made
+            transform=made_by, generation=self.generation)
+        return _Variant(episode, parent, frames)
+
+    @property
+    def _elsewhere(self) -> bool:
+        return bool(self.strata or self.near)
 
 
 def _perceived(parent: Episode, frames: Frames) -> SceneSpec:
@@ -127,21 +142,21 @@ def _perceived(parent: Episode, frames: Frames) -> SceneSpec:
         "object_half_m": load_task(parent.scene.task).nearest_half(z), "stratum": stratum_of(frames.environment[0])})
 
 
-def _elsewhere(scene: SceneSpec, rng: np.random.Generator, strata: Sequence[str] | None,
-               carried_m: float) -> SceneSpec:
-    """Another start: of the given strata, or near this one with a way to carry that is not much longer or shorter."""
-    if strata:
-        fresh = sample_scene(scene.task, "augment", scene.seed, strata[int(rng.integers(len(strata)))],
-                             robot=scene.robot, scene=scene.scene)
-        return fresh.model_copy(update={"draws": scene.draws, "object_half_m": scene.object_half_m})
-    x, y = (a + rng.uniform(-NEARBY_M, NEARBY_M) for a in scene.object_xy_m)
-    task, target = load_task(scene.task), scene.target_xy_m
-    for _ in range(TRIES):
-        target = task.sample_target(rng, x, y)
-        if 1 / STRETCH < np.hypot(target[0] - x, target[1] - y) / carried_m < STRETCH:
-            break
-    return scene.model_copy(update={"object_xy_m": (float(x), float(y)), "target_xy_m": target,
-                                    "object_yaw_rad": float(rng.uniform(-np.pi / 4, np.pi / 4))})
+def _within(strata: Sequence[str], scene: SceneSpec, rng: np.random.Generator) -> SceneSpec:
+    """A start of one of the strata, with the object of `scene`."""
+    fresh = sample_scene(scene.task, "augment", scene.seed, strata[int(rng.integers(len(strata)))],
+                         robot=scene.robot, scene=scene.scene)
+    return fresh.model_copy(update={"draws": scene.draws, "object_half_m": scene.object_half_m})
+
+
+def _close_to(place: Parent, scene: SceneSpec, rng: np.random.Generator) -> SceneSpec:
+    """A start in the neighbourhood of another attempt's, with an object of the size perceived there, to any mark."""
+    there = _perceived(*place)
+    x, y = (a + rng.uniform(-NEARBY_M, NEARBY_M) for a in there.object_xy_m)
+    return scene.model_copy(update={
+        "object_xy_m": (float(x), float(y)), "object_yaw_rad": float(rng.uniform(-np.pi / 4, np.pi / 4)),
+        "target_xy_m": load_task(scene.task).sample_target(rng, x, y), "object_half_m": there.object_half_m,
+        "stratum": there.stratum})
 
 
 def _play(variants: Sequence[_Variant], threads: int) -> list[tuple[Episode, Frames]]:
@@ -163,26 +178,24 @@ def _begins(episode: Episode) -> int:
 
 
 def _path(episode: Episode, frames: Frames) -> Path:
-    return path_of(frames, f"episode {episode.id}", _begins(episode))
+    return path_of(frames, f"episode {episode.id}")
 
 
 def grasps(parent: Parent) -> bool:
-    """Whether the demonstrator's part can be carried over: it grasps, and carries far enough to show how.
+    """Whether an attempt can be carried over: a whole demonstration that grasps and lifts.
 
-    One who took over with the object in hand shows no grasp; one who only nudged it onto the mark shows a
-    motion that would drag the object over the table, were it stretched to a longer way.
+    A correction cannot: it begins where a policy failed, and its commands answer what they found there.
     """
     try:
-        return _path(*parent).carried_m >= CARRIED_M
+        return _begins(parent[0]) == 0 and len(_path(*parent).pose) > 0
     except SimulationError:
         return False
 
 
 def _actions(variant: _Variant, seen: Array) -> tuple[Array, int]:
     """What to send, and the action from which a demonstrator acts."""
-    begins = _begins(variant.parent)
     if variant.episode.transform == "replay":
-        return variant.frames.action.astype(np.float64), begins
+        return variant.frames.action.astype(np.float64), _begins(variant.parent)
     return retarget(_path(variant.parent, variant.frames), HOME, seen[[0, 1, 3]], seen[4:6]), 0
 
 
@@ -202,7 +215,7 @@ def _finished(episode: Episode, frames: Frames, success: bool, begins: int) -> t
 
 def _report(parents: Sequence[Parent], episodes: Sequence[Episode]) -> AugmentReport:
     success = np.array([e.outcome.label == "success" for e in episodes])
-    origin = np.array([e.transform for e in episodes])
+    origin = np.array([str(e.transform).split()[0] for e in episodes])
     tried = {str(t): int((origin == t).sum()) for t in np.unique(origin)}
     kept = {str(t): int(success[origin == t].sum()) for t in np.unique(origin)}
     before = _cells([e.scene for e, _ in parents])

@@ -23,8 +23,6 @@ SETTLED_M = 0.0015
 """Change of the finger opening a tick below which a grip counts as settled."""
 LIFTED_M = 0.02
 """Rise of the object that counts as lifted [m]."""
-CLEAR_M = 0.12
-"""Height at which a path passes over the object before it descends [m]."""
 
 
 class Playback:
@@ -90,43 +88,31 @@ class Path:
     """Object as perceived at the grasp: x, y, yaw."""
     target: Array
     """Target x, y."""
-    from_home: bool
-    """Whether the path begins where every attempt begins."""
-
-    @property
-    def carried_m(self) -> float:
-        """Way from the grasp to the target [m]."""
-        return float(np.hypot(*(self.target - self.object[:2])))
 
 
-def path_of(frames: Frames, where: str, begins: int = 0) -> Path:
-    """The commanded path of the part of an attempt that a demonstrator commanded.
+def path_of(frames: Frames, where: str) -> Path:
+    """The commanded path of a whole demonstration.
 
-    The grasp is the last closing of the gripper before the object is lifted; a correction may have closed
-    in vain before. Its path starts where the tool was highest before that grasp.
+    The grasp is the last closing of the gripper before the object is lifted: there may have been one in vain.
 
     Args:
-        frames: the attempt.
+        frames: the demonstration, from where every attempt begins.
         where: named in the error.
-        begins: first frame that the demonstrator commanded.
 
     Raises:
         SimulationError: nothing is grasped and lifted.
     """
     closed = frames.action[:, 4] < OPEN_M / 2
-    height = frames.environment[:, 2] - frames.environment[0, 2]
-    lifted = np.flatnonzero((height > LIFTED_M) & (np.arange(len(frames)) >= begins))
-    before = np.arange(len(frames)) < (lifted[0] if lifted.size else 0)
-    turns = np.flatnonzero(closed & ~np.concatenate([[False], closed[:-1]]) & before)
-    if not turns.size or turns[-1] < begins:
+    lifted = np.flatnonzero(frames.environment[:, 2] - frames.environment[0, 2] > LIFTED_M)
+    turns = np.flatnonzero(closed & ~np.concatenate([[False], closed[:-1]]))
+    turns = turns[turns < (lifted[0] if lifted.size else 0)]
+    if not turns.size:
         raise SimulationError("nothing is grasped and lifted", where=where,
                               mend="leave it out of retargeting: only attempts that grasp can be carried over")
     grasp = int(turns[-1])
     pose = np.concatenate([frames.state[:, 11:15], frames.state[-1:, 11:15] + frames.action[-1:, :4]]).astype(float)
-    first = begins + int(np.argmax(pose[begins:grasp + 1, 2]))
-    return Path(pose[first:], frames.action[first:, 4].astype(float), grasp - first,
-                frames.environment[grasp, [0, 1, 3]].astype(float), frames.environment[0, 4:6].astype(float),
-                from_home=first == 0)
+    return Path(pose, frames.action[:, 4].astype(float), grasp, frames.environment[grasp, [0, 1, 3]].astype(float),
+                frames.environment[0, 4:6].astype(float))
 
 
 def _fade(xy: Array) -> Array:
@@ -160,18 +146,12 @@ def retarget(path: Path, start: Array, seen: Array, target: Array) -> Array:
     reach = pose[:g + 1].copy()
     reach[:, :2] = (reach[:, :2] - path.object[:2]) @ spin.T + seen[:2]
     reach[:, 3] += turn
-    if path.from_home:
-        reach += _fade(pose[:g + 1, :2]) * (start - reach[0])
-        opening = path.opening
-    else:
-        over = reach[:1] + np.array([0, 0, max(0.0, CLEAR_M - reach[0, 2]), 0])
-        reach = np.concatenate([start[None], over, reach])
-        opening = np.concatenate([[OPEN_M, OPEN_M], path.opening])
+    reach += _fade(pose[:g + 1, :2]) * (start - reach[0])
     carry = pose[g:].copy()
     carry[:, :2] += target - path.target
     carry[:, 3] += reach[-1, 3] - carry[0, 3]
     carry[:, :2] += _fade(pose[g:, :2]) * (reach[-1, :2] - carry[0, :2])
-    return _timed(np.concatenate([reach, carry[1:]]), opening)
+    return _timed(np.concatenate([reach, carry[1:]]), path.opening)
 
 
 def _timed(pose: Array, opening: Array) -> Array:
