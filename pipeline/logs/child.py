@@ -24,7 +24,7 @@ from pipeline import errors
 from pipeline.errors import HardcaseError, RecordingError
 from pipeline.recording.errors import SPLIT
 
-MAX_ANSWER = 64 << 20
+MAX_ANSWER = 16 << 20
 """Longest answer [B]; what is larger goes into files."""
 _HOSTILE = f"do not open it elsewhere, it may be made to harm; if it is right, {SPLIT}"
 _REPORT = "fetch it again; if it is right, report it as a fault of the reader"
@@ -170,8 +170,10 @@ def _exchange(process: "subprocess.Popen[bytes]", line: bytes, until: float) -> 
     while not answer.endswith(b"\n"):
         if not poll.poll(max(0.0, until - time.monotonic()) * 1000):
             raise TimeoutError
-        if not (piece := os.read(pipe, 1 << 16)) or len(answer) > MAX_ANSWER:
+        if not (piece := os.read(pipe, 1 << 16)):
             raise ValueError("no answer")
+        if len(answer) > MAX_ANSWER:
+            return {"failed": f"it names and declares more than {MAX_ANSWER >> 20} MiB"}
         answer += piece
     return json.loads(answer)
 

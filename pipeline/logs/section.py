@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import zstandard
 from numpy.typing import NDArray
 
 from pipeline.errors import RecordingError
@@ -58,6 +59,7 @@ class Section:
         self._room = MAX_RECORDS + source.size // BYTES_A_RECORD
         self._plain = MAX_PLAIN + PLAIN_A_BYTE * source.size
         self._metadata_bytes = 0
+        self._zstd = zstandard.ZstdDecompressor()
 
     def pieces(self) -> Iterator[Piece]:
         """Every message; RecordingError on damage and on what asks for too much."""
@@ -112,7 +114,8 @@ class Section:
     def _count(self, offset: int) -> None:
         self._room -= 1
         if self._room < 0:
-            raise refuse(f"too many records up to byte {offset}", self._where, SPLIT)
+            limit = MAX_RECORDS + self._source.size // BYTES_A_RECORD
+            raise refuse(f"more than {limit} records up to byte {offset}", self._where, SPLIT)
 
     def _loose(self, starts: "array[int]") -> Piece:
         """Messages outside of chunks."""
@@ -136,7 +139,7 @@ class Section:
         """Messages of a chunk; where it is damaged, either the error or the end of what is read."""
         try:
             packed = memoryview(self._source.data)[chunk.start : chunk.stop]
-            plain = plain_bytes(chunk, packed, self._where, crc_needed=False)
+            plain = plain_bytes(chunk, packed, self._where, crc_needed=False, zstd=self._zstd)
             low, high = 1 << 64, -1
             for piece in self._inside(plain, chunk):
                 first, last = self.tally.see(piece.heads["log"])

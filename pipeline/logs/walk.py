@@ -40,8 +40,8 @@ def heads(data: bytes, starts: "array[int]") -> tuple[NDArray[np.int64], NDArray
     """Starts as an array, and the fields before each payload, shape (n,) each; empties `starts`."""
     places = np.array(starts, np.int64)
     del starts[:]
-    windows = np.lib.stride_tricks.sliding_window_view(np.frombuffer(data, np.uint8), MESSAGE_HEAD.size)
-    return places, windows[places].view(HEAD)[:, 0]
+    everywhere: NDArray[np.void] = np.ndarray(len(data) - MESSAGE_HEAD.size + 1, HEAD, data, strides=(1,))
+    return places, everywhere[places]
 
 
 def groups(channels: NDArray[np.uint16]) -> tuple[NDArray[np.intp] | None, list[tuple[int, int, int]]]:
