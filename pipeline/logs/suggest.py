@@ -147,7 +147,7 @@ class _Guess:
         if taken.joints:
             lines.append(f"joints: [{', '.join(map(_quoted, taken.joints))}]")
             if taken.joints_field != "name":
-                lines.append(f"joints_field: {taken.joints_field}")
+                lines.append(f"joints_field: {_quoted(taken.joints_field)}")
         if taken.names:
             lines.append(f"names: [{', '.join(map(_quoted, taken.names))}]")
         return lines + self._timing(topic)
@@ -168,9 +168,9 @@ class _Guess:
             name = slug(topic.topic, names, _CAMERA_WORDS)
             names.append(name)
             size = topic.bytes / topic.messages / 1e3
-            lines += [f"  {name}:", f"    # {kind(topic)}, {topic.blobs[field] or 'raw'}: {_rate(topic)}, "
+            lines += [f"  {name}:", f"    # {_plain(kind(topic))}, {topic.blobs[field] or 'raw'}: {_rate(topic)}, "
                       f"{size:.0f} kB a message", f"    topic: {_quoted(topic.topic)}",
-                      *([f"    field: {field}"] if field != "data" else []),
+                      *([f"    field: {_quoted(field)}"] if field != "data" else []),
                       *(f"    {line}" for line in self._timing(topic))]
         return lines
 
@@ -180,7 +180,8 @@ class _Guess:
             if found := marks(topic):
                 field, starts, stops = found
                 lines = ["episodes:", f"  # {_plain(topic.topic)} says so {topic.messages} times", "  by: marker",
-                         f"  topic: {_quoted(topic.topic)}", f"  field: {field}", f"  start: {_values(starts)}"]
+                         f"  topic: {_quoted(topic.topic)}", f"  field: {_quoted(field)}",
+                         f"  start: {_values(starts)}"]
                 lines += [f"  stop: {_values(stops)}"] if stops else []
                 return lines + (["  clock: log"] if self.clock == "header" and not topic.stamps else [])
         pauses = next((taken.topic for taken in self.state if taken.topic.pauses), None)
@@ -195,14 +196,14 @@ class _Guess:
 def _said(taken: Taken) -> list[str]:
     topic = taken.topic
     lines = [f"{_plain(topic.type) or 'no type'}: {_rate(topic)}, {_messages(topic)}, "
-             + ", ".join(f"{field} {_range(topic, field)}" for field in taken.fields[:4])]
+             + _plain(", ".join(f"{field} {_range(topic, field)}" for field in taken.fields[:4]))]
     seen = topic.numbers[taken.fields[0].split("[")[0]]
     if (taken.joints or taken.names) and not seen.integral and max(abs(seen.low or 0), abs(seen.high or 0)) > FULL_TURN:
         lines.append("More than one turn: if these are degrees, add `unit: deg_to_rad`.")
     if taken.joints and topic.named.get(taken.joints_field, 1) > 1:
         lines.append(f"{topic.named[taken.joints_field]} sets of names share the topic; this is the commonest.")
     if taken.left:
-        lines.append(f"Also there: {', '.join(taken.left[:12])}{', ...' if len(taken.left) > 12 else ''}")
+        lines.append(f"Also there: {_plain(', '.join(taken.left[:8]))}{', ...' if len(taken.left) > 8 else ''}")
     return lines
 
 
