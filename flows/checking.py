@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,8 @@ from stages.check import Checked, Item, check, init
 
 PASSED, FAILED, UNREADABLE = 0, 1, 2
 ID = re.compile(r"[0-9a-f]{8,16}")
+SHOWN = 5
+"""Findings of one check that are printed of one item."""
 
 
 def check_all(names: Sequence[str], *, contract: Path | None, out: Path | None) -> tuple[str, int]:
@@ -55,7 +58,7 @@ def write_contract(names: Sequence[str]) -> str:
         if checked.verdict is not None and not checked.verdict.passed:
             raise ConfigError(f"not a good log: {checked.verdict.reason}", where=checked.item.name,
                               mend=f"write the contract from a log that passes: hardcase check {checked.item.name}")
-    return to_yaml(init(items, name="default"))
+    return to_yaml(init(items))
 
 
 def _item(name: str) -> Item:
@@ -65,7 +68,7 @@ def _item(name: str) -> Item:
     with Store.open(store_root()) as store:
         table, id = store.find(name)
         if table == "version":
-            return Item(store.path(store.version(id).path), id)
+            return Item(store.path(store.version(id).path), id, trusted=True)
         if table != "episode":
             raise StoreError(f"{table.replace('_', ' ')} {id} is no recording and no dataset", where=f"hardcase check {name}",
                              mend="name an episode or a dataset version")
@@ -73,7 +76,7 @@ def _item(name: str) -> Item:
         if episode.blob is None or episode.origin in VARIANTS:
             raise StoreError(f"episode {id} is a variant and has no recording of its own", where=f"hardcase check {name}",
                              mend=f"check the demonstration it was made from ({episode.parent}), or its dataset version")
-        return Item(store.blob(episode.blob), id)
+        return Item(store.blob(episode.blob), id, trusted=True)
 
 
 def _remember(verdicts: Sequence[CheckVerdict]) -> None:
@@ -126,6 +129,14 @@ def _told(done: Sequence[Checked]) -> list[str]:
 
 
 def _table(findings: Sequence[Finding]) -> list[str]:
-    rows = [(f.severity, f.check, f.place(), f.what) for f in findings]
+    count = Counter(f.check for f in findings)
+    shown = Counter[str]()
+    rows: list[tuple[str, str, str, str]] = []
+    for finding in findings:
+        shown[finding.check] += 1
+        if shown[finding.check] <= SHOWN:
+            rows.append((finding.severity, finding.check, finding.place(), finding.what))
+        elif shown[finding.check] == count[finding.check]:
+            rows.append(("", finding.check, f"and {count[finding.check] - SHOWN} more", "--json OUT lists them"))
     widths = [max((len(row[k]) for row in rows), default=0) for k in range(3)]
     return ["  " + "  ".join([*(cell.ljust(w) for cell, w in zip(row[:3], widths, strict=True)), row[3]]) for row in rows]

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from pipeline.check.contract import completed, from_log
 from pipeline.check.folder import is_dataset, read_folder
@@ -12,10 +13,15 @@ from pipeline.check.run import check as run_checks
 from pipeline.check.signals import Signals, Subject
 from pipeline.errors import HardcaseError, RecordingError
 from pipeline.files import sha256, short_id
+from pipeline.logs.child import Children, Limits
 from schemas.contract import Contract
 from schemas.finding import CheckVerdict, Finding
 
-SHORT = "name a .mcap recording, the folder of a LeRobot dataset, or the id of an episode or version"
+WHAT = "name a .mcap recording, the folder of a LeRobot dataset, or the id of an episode or version"
+BYTES_A_SECOND = 1e6
+"""CPU time that a child gets for each byte: a tenth of the speed at which recordings with cameras are checked."""
+MEMORY_BYTES = 2 << 30
+"""Address space of a child that checks: Arrow and video decoders reserve far more than they use."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +31,8 @@ class Item:
     path: Path
     name: str
     """What it is called in findings: a file's name, or an id."""
+    trusted: bool = False
+    """Ours, from the store: read in this process; anybody's file is read in a limited child."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,52 +57,82 @@ def check(items: Sequence[Item], contract: Contract, *,
     """
     done: list[Checked] = []
     motions: dict[int, Motion] = {}
-    for k, item in enumerate(items):
-        try:
-            subject = read(item)
-        except HardcaseError as error:
-            done.append(Checked(item, None, error))
-            continue
-        done.append(Checked(item, run_checks(subject, contract)))
-        if subject.tables is None and (motion := motion_of(subject.recordings[0], completed(contract, subject))):
-            motions[k] = motion
-        if progress is not None:
-            progress(k + 1, len(items))
+    with Children() as children:
+        for k, item in enumerate(items):
+            try:
+                verdict, motion = _one(item, contract, children)
+            except HardcaseError as error:
+                done.append(Checked(item, None, error))
+                continue
+            done.append(Checked(item, verdict))
+            if motion is not None:
+                motions[k] = motion
+            if progress is not None:
+                progress(k + 1, len(items))
     return _compared(done, motions, contract)
 
 
-def read(item: Item) -> Subject:
-    """The item as checks see it.
-
-    Raises:
-        HardcaseError: it cannot be read, or is neither a recording nor a dataset.
-    """
-    if item.path.is_dir():
-        if not is_dataset(item.path):
-            raise RecordingError("a folder without meta/info.json is no dataset", where=item.path, mend=SHORT)
-        return read_folder(item.path, name=item.name)
-    if not item.path.exists():
-        raise RecordingError("no such file or folder", where=item.path, mend=SHORT)
-    return read_recording(item.path, name=item.name)
-
-
-def init(items: Sequence[Item], *, name: str) -> Contract:
-    """A contract that these good logs keep.
+def init(items: Sequence[Item], *, name: str = "default") -> Contract:
+    """A contract that these good logs keep; at least one.
 
     Raises:
         HardcaseError: one of them cannot be read.
     """
-    subjects = [read(item) for item in items]
+    with Children() as children:
+        plain = children.call(contract_of, [str(i.path) for i in items], [i.name for i in items], name,
+                              where=items[0].path, limits=_limits([i.path for i in items]))
+    return Contract.model_validate_json(plain)
+
+
+def read(path: Path, name: str) -> Subject:
+    """A recording or dataset as checks see it.
+
+    Raises:
+        HardcaseError: it cannot be read, or is neither a recording nor a dataset.
+    """
+    if path.is_dir():
+        if not is_dataset(path):
+            raise RecordingError("a folder without meta/info.json is no dataset", where=path, mend=WHAT)
+        return read_folder(path, name=name)
+    if not path.exists():
+        raise RecordingError("no such file or folder", where=path, mend=WHAT)
+    return read_recording(path, name=name)
+
+
+def verdict_of(path: str, name: str, contract: str) -> dict[str, Any]:
+    """One item's verdict and motion as JSON knows them: what a child does."""
+    rules = Contract.model_validate_json(contract)
+    subject = read(Path(path), name)
+    motion = motion_of(subject.recordings[0], completed(rules, subject)) if subject.tables is None else None
+    return {"verdict": run_checks(subject, rules).model_dump_json(), "motion": motion.plain() if motion else None}
+
+
+def contract_of(paths: list[str], names: list[str], name: str) -> str:
+    """A contract from good logs as JSON: what a child does."""
+    subjects = [read(Path(path), called) for path, called in zip(paths, names, strict=True)]
     recordings: tuple[Signals, ...] = tuple(s for subject in subjects for s in subject.recordings)
-    return from_log(Subject(name, subjects[0].digest, recordings, subjects[0].tables), name=name)
+    return from_log(Subject(name, subjects[0].digest, recordings, subjects[0].tables), name=name).model_dump_json()
+
+
+def _one(item: Item, contract: Contract, children: Children) -> tuple[CheckVerdict, Motion | None]:
+    arguments = str(item.path), item.name, contract.model_dump_json()
+    found: dict[str, Any] = verdict_of(*arguments) if item.trusted else children.call(
+        verdict_of, *arguments, where=item.path, limits=_limits([item.path]))
+    motion = Motion.of(found["motion"]) if found["motion"] else None
+    return CheckVerdict.model_validate_json(found["verdict"]), motion
+
+
+def _limits(paths: Sequence[Path]) -> Limits:
+    files = (f for path in paths for f in (path.rglob("*") if path.is_dir() else [path]))
+    size = sum(f.stat().st_size for f in files if f.is_file())
+    return Limits(memory_bytes=MEMORY_BYTES, cpu_s=10 + size / BYTES_A_SECOND, wall_s=60 + 4 * size / BYTES_A_SECOND)
 
 
 def _compared(done: list[Checked], motions: Mapping[int, Motion], contract: Contract) -> list[Checked]:
     """Verdicts of recordings with what the comparison with those before them adds."""
-    places = list(motions)
     first = {t.second: t for t in reversed(same_motion(list(motions.values()), contract.thresholds))}
     seen: list[str] = []
-    for n, k in enumerate(places):
+    for n, k in enumerate(motions):
         verdict = done[k].verdict
         if verdict is None:
             continue
