@@ -18,7 +18,9 @@ OWNERS = {
     "rich": ("flows/",),
     "mujoco": ("pipeline/simulation/", "pipeline/twin/"),
     "torch": ("pipeline/policies/",),
-    "lerobot": ("pipeline/lerobot_view/", "pipeline/policies/"),
+    "lerobot": ("pipeline/lerobot_view/", "pipeline/policies/", "pipeline/robots/"),
+    "draccus": ("pipeline/robots/plugins.py",),
+    "pygame": ("pipeline/robots/gamepad.py",),
     "rerun": (),
 }
 """Package -> where it may be imported; rerun belongs to the page for browsing, which is not there yet."""
@@ -27,7 +29,8 @@ LATE = {"torch", "lerobot", "prefect", "mujoco"}
 """Never loaded by importing the light parts."""
 
 LIGHT = ("schemas/", "pipeline/store/", "pipeline/recording/", "flows/cli.py")
-TWIN_USERS = ("pipeline/twin/", "stages/deploy.py", "stages/harvest.py", "stages/exam.py", "flows/reporting.py")
+TWIN_USERS = ("pipeline/twin/", "stages/deploy.py", "stages/harvest.py", "stages/exam.py", "flows/reporting.py",
+              "flows/teleop_devices.py")
 TRAINING_SIDE = (
     *(f"stages/{stage}.py" for stage in ("collect", "augment", "build", "train", "gate", "release")),
     "flows/learning.py",

@@ -42,9 +42,13 @@ class Guard:
         signals: names of its columns.
         limits: its bounds.
         hold: what keeps the robot where it is; sent in place of what cannot be sent, shape (k,).
+
+    Raises:
+        RobotError: `hold` is not finite.
     """
 
     def __init__(self, name: str, signals: Signals, limits: Limits, hold: Array) -> None:
+        self._check_hold(name, hold)
         self._name, self._signals, self._limits = name, signals, limits
         self._last, self._bad = hold.copy(), 0
 
@@ -58,7 +62,7 @@ class Guard:
             hold: what keeps the robot where it is now, shape (k,).
 
         Raises:
-            RobotError: wrong shape, or not finite for the third time in a row.
+            RobotError: wrong shape, or not finite for the third time in a row, or `hold` is not finite either.
         """
         names = self._signals.action
         if action.shape != (len(names),):
@@ -82,5 +86,13 @@ class Guard:
         if self._bad >= PATIENCE:
             raise RobotError(f"{what} for {PATIENCE} ticks; the robot was stopped", where=f"robot {self._name}",
                              mend="mend what commands it (policy or input device), then start again")
+        self._check_hold(self._name, hold)
         self._last = hold.copy()
         return Checked(hold.copy(), f"{what}; held still")
+
+    @staticmethod
+    def _check_hold(name: str, hold: Array) -> None:
+        """What is sent in place of a bad value must not be one itself."""
+        if not np.isfinite(hold).all():
+            raise RobotError("where the robot is to be held is not known", where=f"robot {name}",
+                             mend="check its encoders and calibration")

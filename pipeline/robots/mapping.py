@@ -90,8 +90,7 @@ class JointDriver:
         free = np.flatnonzero(~self._grips)[:len(command.axes)]
         shares[free] = command.axes[:len(free)]
         shares[self._grips] = command.grip
-        self._targets = last + shares * self._jog
-        return self._targets.copy()
+        return last + shares * self._jog
 
     def sent(self, action: Array) -> None:
         """Go on from what was really sent."""

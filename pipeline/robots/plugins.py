@@ -93,9 +93,10 @@ def _made[T](kind: Kind, name: str, make: Callable[[Any], T], keys: Mapping[str,
     config = _config(choices[name], keys, kind, name)
     try:
         return make(config)
-    except ImportError as error:
-        raise RobotError(_line(error), where=where, mend="install the driver that it names, then try again") from error
-    except Exception as error:  # drivers raise what they like
+    except Exception as error:  # drivers raise what they like, and lerobot wraps some of it
+        missing = error if isinstance(error, ImportError) else error.__cause__
+        if isinstance(missing, ImportError):
+            raise RobotError(_line(missing), where=where, mend="install the driver that it names") from error
         raise RobotError(f"lerobot does not make {name!r}: {_line(error)}", where=where,
                          mend=f"look at its config keys: {', '.join(_keys(choices[name]))}") from error
 
