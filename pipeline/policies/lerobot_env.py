@@ -21,6 +21,7 @@ from lerobot.envs.configs import EnvConfig  # pyright: ignore[reportMissingTypeS
 from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_STATE  # pyright: ignore[reportMissingTypeStubs]
 
 from pipeline import frames
+from pipeline.simulation.register import TICKS, register
 
 
 @EnvConfig.register_subclass("hardcase")  # pyright: ignore[reportUnknownMemberType]
@@ -30,8 +31,8 @@ class HardcaseEnv(EnvConfig):
 
     task: str | None = "PickPlace-v0"
     fps: int = 20
-    episode_length: int = 200
-    """Length limit of an attempt [ticks]."""
+    episode_length: int = TICKS
+    """Length limit of an attempt [ticks]; the environment itself never lets one last longer than the task does."""
     render_mode: str = "rgb_array"
     """lerobot-eval films the first ten episodes whatever it is told."""
     features: dict[str, PolicyFeature] = field(default_factory=lambda: {
@@ -59,7 +60,5 @@ class HardcaseEnv(EnvConfig):
     def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict[str, dict[int, Any]]:
         """lerobot's vector environment; registers ours first where Hardcase is not installed."""
         if self.gym_id not in gym.registry:
-            from pipeline.simulation.register import register
-
             register()
         return super().create_envs(n_envs, use_async_envs)

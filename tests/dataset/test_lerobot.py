@@ -207,3 +207,40 @@ def test_any_history_of_versions_keeps_the_rules_of_the_format(
     data = opened(store / parent.path)
     states = np.concatenate([frames(e).state for i in parent.episodes for e in pool if e.id == i])
     np.testing.assert_array_equal(np.stack(data.hf_dataset.with_format("numpy")[:]["observation.state"]), states)
+
+
+def test_a_stock_policy_learns_the_action_and_leaves_the_joint_targets_alone(opened, versions):
+    """lerobot takes every feature that begins with `action` for an output; none of its policies uses a second one."""
+    import torch
+    from lerobot.configs import FeatureType
+    from lerobot.policies.act.configuration_act import ACTConfig
+    from lerobot.policies.factory import make_policy, make_pre_post_processors
+
+    store, base, _, _ = versions
+    data = opened(store / base.path, delta_timestamps={"action": [k / 20 for k in range(4)]})
+    small = {"dim_model": 16, "n_heads": 2, "dim_feedforward": 16, "n_encoder_layers": 1, "n_vae_encoder_layers": 1,
+             "chunk_size": 4, "n_action_steps": 4, "dropout": 0.0, "use_vae": False}
+    policy = make_policy(ACTConfig(device="cpu", push_to_hub=False, **small), ds_meta=data.meta)
+    outputs = {name: feature.shape for name, feature in policy.config.output_features.items()}
+    assert set(policy.config.input_features) == {"observation.state", "observation.environment_state"}
+    assert {name: tuple(shape) for name, shape in outputs.items()} == {"action": (5,), "action.joint": (7,)}
+    assert tuple(policy.config.action_feature.shape) == (5,)
+    assert {f.type for f in policy.config.output_features.values()} == {FeatureType.ACTION}
+    before, after = make_pre_post_processors(policy.config, dataset_stats=data.meta.stats)
+    batch = torch.utils.data.default_collate([data[k] for k in range(6)])
+    joints = (batch["action.joint"], torch.full_like(batch["action.joint"], torch.nan))
+    losses = [policy.forward(before({**batch, "action.joint": joint}))[0].item() for joint in joints]
+    assert losses[0] == losses[1] and np.isfinite(losses[0])
+    seen = {name: batch[name][:1] for name in policy.config.input_features}
+    assert tuple(after(policy.select_action(before(seen))).shape) == (1, 5)
+
+
+def test_lerobot_knows_the_length_that_an_attempt_at_the_task_has(opened):
+    from pipeline.policies.lerobot_env import HardcaseEnv
+    from pipeline.simulation.tasks import load_task
+
+    ticks = load_task("pick-place").ticks
+    assert HardcaseEnv().episode_length == HardcaseEnv().gym_kwargs["max_episode_steps"] == ticks
+    ((env,),) = (made.values() for made in HardcaseEnv().create_envs(1).values())
+    assert env.call("_max_episode_steps") == (ticks,)
+    env.close()
