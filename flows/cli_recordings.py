@@ -6,12 +6,14 @@ from typing import Annotated
 import typer
 
 from flows.cli_consent import consent
+from flows.cli_ingest import ingest
 from flows.cli_teleop import teleop
 
 commands = typer.Typer()
 
 commands.add_typer(consent, name="consent")
 commands.command()(teleop)
+commands.command()(ingest)
 
 
 @commands.command()
@@ -35,3 +37,31 @@ def check(
     text, code = check_all(names, contract=contract, out=json)
     typer.echo(text)
     raise typer.Exit(code)
+
+
+@commands.command()
+def record(
+    out: Annotated[Path, typer.Argument(metavar="OUT.mcap", help="The recording; OUT.mcap.part until it is whole.")],
+    robot: Annotated[str, typer.Option(help="arm (simulated) or twin:SEED.")] = "arm",
+    policy: Annotated[str, typer.Option(help="Who acts: expert, champion, or a policy's id.")] = "expert",
+    camera: Annotated[
+        list[str] | None, typer.Option(help="Camera of the scene to record: front, top; may be given again.")
+    ] = None,
+    size: Annotated[str, typer.Option(help="Width and height of pictures.")] = "320x240",
+    seconds: Annotated[float, typer.Option(min=0.1, help="How long to record.")] = 10.0,
+    until_success: Annotated[bool, typer.Option("--until-success", help="End as soon as the task is done.")] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Which start.")] = 0,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON for machines.")] = False,
+) -> None:
+    """Record a simulated robot at work, in real time; made to be tried, killed, recovered and looked at.
+
+    Example: hardcase record pick.mcap --camera front --camera top --seconds 10
+    """
+    from flows.cli_teleop import INTERRUPTED, picture_size
+    from flows.record import RecordOrder, run_record
+    from pipeline.store import store_root
+
+    order = RecordOrder(path=out, robot=robot, policy=policy, cameras=tuple(camera or ()), size=picture_size(size),
+                        seconds=seconds, until_success=until_success, seed=seed)
+    if run_record(order, store_root(), as_json=json):
+        raise typer.Exit(INTERRUPTED)

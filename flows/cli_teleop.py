@@ -56,7 +56,7 @@ def teleop(
         robot=robot, robot_keys=_pairs(robot_key, "--robot-key"), teleop=teleop,
         teleop_keys=_pairs(teleop_key, "--teleop-key"), plugins=tuple(plugin or ()), policy=policy, task=task,
         stratum=stratum, operator=operator, consent=consent, episodes=episodes, cameras=tuple(camera or ()),
-        size=_size(size), hz=hz, speed=speed, hand_speed=hand_speed, max_step=_steps(max_step), max_s=max_s,
+        size=picture_size(size), hz=hz, speed=speed, hand_speed=hand_speed, max_step=_steps(max_step), max_s=max_s,
         by_key=by_key)
     if run_teleop(order, store_root(), as_json=json):
         raise typer.Exit(INTERRUPTED)
@@ -85,7 +85,8 @@ def _steps(texts: Sequence[str] | None) -> dict[str, float]:
     return found
 
 
-def _size(text: str) -> tuple[int, int]:
+def picture_size(text: str) -> tuple[int, int]:
+    """Width and height from WIDTHxHEIGHT; ConfigError on anything else."""
     width, _, height = text.partition("x")
     if not (width.isdecimal() and height.isdecimal() and 16 <= int(width) <= 640 and 16 <= int(height) <= 480):
         raise ConfigError(f"{text!r} is no size of a picture", where="--size", mend="--size 320x240, 640x480 at most")

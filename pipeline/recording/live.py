@@ -177,6 +177,10 @@ class LiveRecorder:
         self._starts = [s for s in self._starts if s[0] < at] + [(at, kind, actor)]
         return self.event("segment", f"{kind} {actor}", tick=at)
 
+    def now(self) -> int:
+        """Time on the recording's clock [ns]."""
+        return self._clock()
+
     @property
     def failed(self) -> bool:
         """Whether the disk has refused something; `close` tells what."""

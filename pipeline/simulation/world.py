@@ -52,11 +52,14 @@ class World:
         scenes: start of each attempt; all of one task.
         physics: physics of each attempt.
         threads: threads of the engine.
+        control_hz: rate of the control clock [Hz]; policies, tasks and twins are made for the default.
     """
 
     control_hz = CONTROL_HZ
 
-    def __init__(self, setup: Setup, scenes: Sequence[SceneSpec], physics: Physics, *, threads: int = 2) -> None:
+    def __init__(self, setup: Setup, scenes: Sequence[SceneSpec], physics: Physics, *, threads: int = 2,
+                 control_hz: float = CONTROL_HZ) -> None:
+        self.control_hz = control_hz
         self.setup, self.scenes, self.n = setup, tuple(scenes), len(scenes)
         self.task, self.physics = load_task(scenes[0].task), from_draws([()] * len(scenes))
         model, body = setup.model, setup.body
@@ -74,7 +77,7 @@ class World:
         self._mocap = self.batch.bind("mocap_pos")
         self.efforts = self.batch.bind("actuator_force")
         """Actuator forces of the last substep [N m, N], shape (n, 7); valid until the next call of the engine."""
-        self._substeps = round(1 / CONTROL_HZ / model.opt.timestep)
+        self._substeps = round(1 / control_hz / model.opt.timestep)
         self._noise = np.empty((self.n, self.task.ticks + 1, 3))
         self._late = np.empty((self.n, self.task.ticks + 1))
         home = np.array([body.home])

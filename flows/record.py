@@ -1,0 +1,145 @@
+"""`hardcase record`: a simulated robot at work in real time, recorded as a real one would be."""
+
+import json
+import sys
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from flows import facts
+from flows.teleop_devices import TeleopOrder, open_policy, open_robot
+from flows.teleoperation import Stop
+from pipeline.errors import ConfigError, SimulationError
+from pipeline.files import short_id
+from pipeline.protocols import Policy
+from pipeline.recording.filming import Filming
+from pipeline.recording.live import Closed, LiveRecorder
+from pipeline.recording.live_header import beginning
+from pipeline.store import Store
+from schemas.scene import SceneSpec
+from stages.record import record
+
+if TYPE_CHECKING:
+    from pipeline.robots.simulated import SimulatedRobot
+
+_ONE = np.arange(1)
+
+
+@dataclass(frozen=True, slots=True)
+class RecordOrder:
+    """A recording as it was asked for on the command line."""
+
+    path: Path
+    robot: str = "arm"
+    policy: str = "expert"
+    cameras: tuple[str, ...] = ()
+    size: tuple[int, int] = (320, 240)
+    seconds: float = 10.0
+    until_success: bool = False
+    seed: int = 0
+
+
+def run_record(order: RecordOrder, root: Path, *, as_json: bool = False) -> bool:
+    """Record one attempt and print what became of it.
+
+    Args:
+        order: what was asked for.
+        root: folder of the store that policies are taken from.
+        as_json: print one JSON object.
+
+    Returns:
+        Whether it was interrupted; it is closed then too, with outcome 'unknown'.
+
+    Raises:
+        HardcaseError: a name or the disk refuses.
+    """
+    policy, actor, policy_id = _policy(order.policy, root)
+    robot, scene = _robot(order)
+    stop = Stop()
+    attachments = {**robot.attachments(), "config.json": _config(order),
+                   "randomization.json": json.dumps([draw.model_dump() for draw in scene.draws]).encode()}
+    episode = beginning(
+        id=short_id("record", scene.model_dump_json(), actor, order.path.name), kind="autonomous", actor=actor,
+        origin="scripted" if policy_id is None else "deployed", scene=scene, control_hz=robot.control_hz,
+        generation=0, policy=policy_id)
+    with ExitStack() as stack:
+        recorder = stack.enter_context(LiveRecorder(order.path, episode, attachments=attachments,
+                                                    software=facts.software()))
+        stack.enter_context(stop.listening())
+        robot.begin(scene)
+        with _Film(order, robot, recorder) as film:
+            outcome = record(robot, policy, recorder, seconds=order.seconds, until_success=order.until_success,
+                             show=film.show, stop=stop)
+        closed = recorder.close(outcome)
+    _print(closed, film.taken, robot.late, as_json=as_json)
+    return stop.asked
+
+
+class _Film:
+    """The cameras of a recording, or nothing where none is asked for or nothing can render here."""
+
+    def __init__(self, order: RecordOrder, robot: "SimulatedRobot", recorder: LiveRecorder) -> None:
+        from pipeline.simulation.live_cameras import SceneCameras
+
+        self._robot, self._filming, self.taken = robot, None, dict[str, int]()
+        width, height = order.size
+        self._cameras = SceneCameras(robot.world.batch.get_model(0), order.cameras, width=width, height=height)
+        if not order.cameras:
+            return
+        try:
+            self._filming = Filming(recorder, self._cameras)
+        except SimulationError as error:
+            print(f"no pictures: {error.what}; recording goes on without ({error.mend})", file=sys.stderr)
+
+    def show(self, tick: int, stamp_ns: int) -> None:
+        """Let the cameras take the state that the robot is in."""
+        if self._filming is not None:
+            self._cameras.show(self._robot.world.save(_ONE)[0][0], tick, stamp_ns)
+
+    def __enter__(self) -> "_Film":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._filming is not None:
+            self._filming.stop()
+            self.taken = self._filming.taken
+
+
+def _policy(name: str, root: Path) -> tuple[Policy, str, str | None]:
+    if name == "expert":
+        from pipeline.simulation.expert import Expert
+
+        return Expert(), "expert", None
+    with Store.open(root) as store:
+        return open_policy(name, store)
+
+
+def _robot(order: RecordOrder) -> tuple["SimulatedRobot", SceneSpec]:
+    if order.robot.startswith("lerobot:"):
+        raise ConfigError("a policy alone does not move a real robot", where=f"--robot {order.robot}",
+                          mend="have a person beside it: hardcase teleop --robot NAME --policy ID")
+    from pipeline.robots.simulated import SimulatedRobot
+
+    driven = open_robot(TeleopOrder(robot=order.robot), order.seed)
+    assert isinstance(driven.robot, SimulatedRobot)
+    return driven.robot, driven.scene_of(0, driven.robot.observe(_ONE))
+
+
+def _config(order: RecordOrder) -> bytes:
+    """What was in force; no path of this machine."""
+    return json.dumps({**asdict(order), "path": order.path.name}, sort_keys=True).encode()
+
+
+def _print(closed: Closed, filmed: dict[str, int], late: int, *, as_json: bool) -> None:
+    episode = closed.episode
+    if as_json:
+        print(json.dumps({"path": str(closed.path), "episode": episode.model_dump(mode="json"), "pictures": filmed,
+                          "dropped": dict(closed.dropped), "late_ticks": late}))
+        return
+    said = f"{episode.duration_s:.1f} s, {episode.frames} ticks, outcome {episode.outcome.label}"
+    pictures = "".join(f", {count} pictures of {name}" for name, count in filmed.items())
+    lost = f"; dropped {dict(closed.dropped)}" if closed.dropped else ""
+    print(f"{closed.path}: {said}{pictures}{lost}\nlook at it: rerun {closed.path}")

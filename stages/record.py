@@ -1,0 +1,54 @@
+"""Record: a policy works a robot in real time, and everything is written down while it happens."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import count
+
+import numpy as np
+
+from pipeline.protocols import Array, LiveRobot, Policy
+from pipeline.recording.live import LiveRecorder
+from pipeline.recording.live_rows import Row
+from schemas.episode import Outcome
+
+_ONE = np.arange(1)
+
+
+def record(robot: LiveRobot, policy: Policy, recorder: LiveRecorder, *, seconds: float, until_success: bool = False,
+           show: Callable[[int, int], None] = lambda tick, stamp_ns: None,
+           stop: Callable[[], bool] = lambda: False) -> Outcome:
+    """Let a policy act until the time is over, and say how it ended; the caller closes the recording.
+
+    Args:
+        robot: connected and put at its start; lets the time of each tick pass.
+        policy: acts on what the robot perceives.
+        recorder: takes every tick.
+        seconds: length of the attempt on the robot's clock [s].
+        until_success: end with the task, if that comes first.
+        show: called with (tick, time [ns]) when the robot has perceived: cameras take their pictures.
+        stop: whether somebody wants it to end now.
+    """
+    policy.reset(1)
+    reached, last = False, ""
+    for tick in count():
+        stamp_ns = recorder.now()
+        observation = robot.observe(_ONE)
+        show(tick, stamp_ns)
+        if (phase := robot.phase()) != last:
+            recorder.phase(phase, tick=tick)
+            last = phase
+        robot.act(policy.act(observation, _ONE), _ONE)
+        recorder.tick(tick, _with_memory(robot.row(), policy), stamp_ns=stamp_ns)
+        reached = reached or robot.succeeded()
+        if stop() or recorder.failed:  # what the disk refused, `close` says
+            return Outcome(label="unknown", judged_by=robot.judge, reason="cut off: interrupted")
+        if (reached and until_success) or (tick + 1) / robot.control_hz >= seconds:
+            break
+    return Outcome(label="success" if reached else "failure", judged_by=robot.judge)
+
+
+def _with_memory(row: Row | Array, policy: Policy) -> Row | Array:
+    """What the policy remembers is part of what a restore needs."""
+    if not isinstance(row, Row) or not len(row.sim_state):
+        return row
+    return replace(row, controller=np.concatenate([row.controller, policy.memory(_ONE)[0]]))
