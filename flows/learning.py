@@ -75,18 +75,26 @@ def built(run: ArmRun, generation: int) -> Made:
     if "teleop" in run.recipe.dataset.sources:
         everything += run.material.driven(run.recipe)
     standing = consents.standing(everything)
-    version = build(standing, run.material.frames, run.recipe, store=run.store.root,
+    verdicts = run.material.verdicts(standing)
+    sound = verdicts.passing(standing)
+    version = build(sound, run.material.frames, run.recipe, store=run.store.root,
                     task=load_task(run.recipe.task).instruction, generation=generation, parent=parent,
-                    consents=consents)
+                    consents=consents, verdicts=verdicts)
     says = f"{len(version.episodes)} episodes, {version.frames} frames"
     if out := len(everything) - len(standing):
         says += f"; {out} left out, their consent has ended"
+    wanted = run.recipe.dataset.sources
+    if failed := sum(e.origin in wanted for e in standing) - sum(e.origin in wanted for e in sound):
+        says += f"; {failed} left out, they failed their check"
     return Made((version.id,), says, {"frames": version.frames}, lambda tx: tx.add_version(version))
 
 
 def trained(run: ArmRun, generation: int, progress: Progress) -> Made:
     """The candidate."""
     version = run.material.version(generation)
+    episodes = run.store.episodes(version.episodes)
+    parents = run.store.episodes({e.parent for e in episodes if e.parent})
+    run.material.verdicts([*parents, *episodes], version).check_version(version, episodes, parents)
     data = TrainingData.load(run.store.path(version.path), run.material.consents())
     policy = train(version, data, run.recipe.train, seed=1000 * run.seed + generation, store=run.store.root,
                    progress=lambda done, total, loss: progress(done, total))

@@ -5,6 +5,7 @@ from functools import lru_cache
 from typing import Any
 
 from flows.consents import consents_now
+from pipeline.check.door import Verdicts
 from pipeline.consent import Consents
 from pipeline.errors import StoreError
 from pipeline.frames import Frames
@@ -92,7 +93,7 @@ class Material:
         return found
 
     def usable(self, episodes: Iterable[Episode]) -> list[Episode]:
-        """The episodes without those that rest on a consent which has ended; each of the others may teach.
+        """The episodes without those that failed their check or rest on a consent which has ended; the others may teach.
 
         Raises:
             ConsentError: a person in an episode never consented.
@@ -101,11 +102,16 @@ class Material:
         known = self.ancestors(chosen)
         standing = consents.standing(chosen, known)
         consents.check(standing, known)
-        return standing
+        return self.verdicts([*known, *standing]).passing(standing, known)
 
     def consents(self) -> Consents:
         """The consent records as they are, for a use at this moment."""
         return consents_now(self._store)
+
+    def verdicts(self, episodes: Iterable[Episode], version: DatasetVersion | None = None) -> Verdicts:
+        """What the checks found of these episodes, and of a version."""
+        subjects = [e.blob for e in episodes if e.blob] + ([version.digest] if version else [])
+        return Verdicts(self._store.checks(dict.fromkeys(subjects)))
 
     def frames(self, episode: Episode) -> Frames:
         """The frames of an episode, from its recording or its shard."""

@@ -7,6 +7,7 @@ from types import MappingProxyType
 from typing import get_args
 
 from pipeline import arrow, frames, shards, trace
+from pipeline.check.door import NO_VERDICTS, Verdicts
 from pipeline.consent import NO_CONSENTS, Consents, needs
 from pipeline.errors import ConfigError, DatasetError
 from pipeline.files import short_id, source_hash
@@ -37,7 +38,7 @@ NOTHING: Mapping[str, object] = MappingProxyType({})
 
 def build(episodes: Sequence[Episode], frames_of: Callable[[Episode], Table] | Mapping[str, Table], recipe: Recipe,
           *, store: Path, task: str | Mapping[str, str], generation: int, parent: DatasetVersion | None = None,
-          consents: Consents = NO_CONSENTS, features: Features = FEATURES,
+          consents: Consents = NO_CONSENTS, verdicts: Verdicts = NO_VERDICTS, features: Features = FEATURES,
           notes: Mapping[str, object] = NOTHING) -> DatasetVersion:
     """Make the dataset version that the recipe asks for, or return it if it is already there.
 
@@ -56,18 +57,20 @@ def build(episodes: Sequence[Episode], frames_of: Callable[[Episode], Table] | M
         generation: lap of the loop, from 0.
         parent: the version this one grows from.
         consents: the consent records, and the moment of this use.
+        verdicts: what the checks found; an episode that failed is refused.
         features: of the robot; every episode and the parent must have these.
         notes: what else the manifest shall say.
 
     Raises:
         ConsentError: a person in an episode, or in one that it was made from, does not consent.
-        DatasetError: nothing is left after the filter, an episode has no recording, its frames are not
-            what its record says or have other features, or the parent's folder is damaged.
+        DatasetError: nothing is left after the filter, an episode failed its check or has no recording, its
+            frames are not what its record says or have other features, or the parent's folder is damaged.
         RecordingError: a frame that is not finite or has a wrong shape; names the episode.
         ConfigError: weights that do not fit the groups of episodes.
     """
     chosen = _in_order(_filtered(episodes, recipe), parent)
     consents.check(chosen, episodes)
+    verdicts.check(chosen, episodes)
     fps, robot = _common(chosen)
     code = code_hash()
     other = () if features is FEATURES else (_text(features), _text(notes))
