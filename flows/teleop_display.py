@@ -3,6 +3,7 @@
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import TextIO
 
 import numpy as np
@@ -39,12 +40,10 @@ class StatusLine:
         """Write the line of this tick."""
         text = self.line(status)
         if self._live:
-            width = _columns(self._stream)
-            self._stream.write(f"\r{text[:width - 1]}\x1b[K")
+            self._write(f"\r{text[:_columns(self._stream) - 1]}\x1b[K")
         elif self._count % self._every == 0 or status.who != self._who:
-            self._stream.write(text + "\n")
+            self._write(text + "\n")
         self._count, self._who = self._count + 1, status.who
-        self._stream.flush()
 
     def line(self, status: Status) -> str:
         """The line of a tick: how far the hand has to go to cube and mark [cm, degrees], as far as the robot can tell.
@@ -71,22 +70,27 @@ class StatusLine:
     def end(self) -> None:
         """Leave the line standing and go on below it."""
         if self._live and self._count:
-            self._stream.write("\n")
+            self._write("\n")
+
+    def _write(self, text: str) -> None:
+        with suppress(OSError):  # a terminal that is gone must not break a recording off
+            self._stream.write(text)
             self._stream.flush()
 
 
 def attempts_table(attempts: Sequence[Closed]) -> Table:
-    """One row an attempt: how it ended, who commanded when, and what was lost."""
+    """One row an attempt: how it ended, how long it was, who commanded when, and what was lost."""
     table = Table(title="Attempts", title_justify="left")
     table.add_column("episode", no_wrap=True)
-    for name in ("label", "said by", "length", "who commanded", "why", "lost"):
-        table.add_column(name, overflow="fold")
+    for name in ("how it ended", "length", "who commanded"):
+        table.add_column(name)
     for closed in attempts:
         episode, outcome = closed.episode, closed.episode.outcome
+        ended = f"{outcome.label}, {outcome.reason or 'says the ' + outcome.judged_by}"
+        if lost := sum(closed.dropped.values()):
+            ended += f"; {lost} messages lost"
         parts = [f"{s.kind} {(s.stop - s.start) / episode.control_hz:.1f} s" for s in episode.segments]
-        lost = sum(closed.dropped.values())
-        table.add_row(episode.id, outcome.label, outcome.judged_by, f"{episode.duration_s:.1f} s", ", ".join(parts),
-                      outcome.reason or "", f"{lost} messages" if lost else "nothing")
+        table.add_row(episode.id, ended, f"{episode.duration_s:.1f} s", "\n".join(parts))
     return table
 
 

@@ -9,6 +9,7 @@ import os
 import select
 import sys
 import termios
+from contextlib import suppress
 from types import MappingProxyType
 
 from pipeline.errors import RobotError
@@ -77,7 +78,8 @@ class Keyboard:
     def disconnect(self) -> None:
         """Give the terminal back as it was."""
         if self._before is not None and self._handle is not None:
-            termios.tcsetattr(self._handle, termios.TCSANOW, self._before)
+            with suppress(termios.error):  # a terminal that is gone needs nothing back
+                termios.tcsetattr(self._handle, termios.TCSANOW, self._before)
             self._before = None
 
     def read(self) -> Command:
@@ -105,15 +107,17 @@ class Keyboard:
         elif key in CALLS:
             calls.add(CALLS[key])
             buttons.add(CALLS[key])
+            if CALLS[key] == "next":
+                self._begin()
         elif key in GRIP or key == " ":
             buttons.add(key if key in GRIP else "space")
             self._opening = GRIP[key] > 0 if key in GRIP else not self._opening
             self._grip, self._grip_ticks = (1.0 if self._opening else -1.0), GRIP_TICKS
 
-    def released(self) -> None:
+    def _begin(self) -> None:
         """Forget what still moves: an attempt begins with an open gripper and everything still."""
         self._moving.clear()
-        self._grip_ticks, self._opening, self._rest = 0, True, ""
+        self._grip_ticks, self._opening = 0, True
 
     def _keys(self) -> list[str]:
         """Whole keys that have arrived; the beginning of an escape sequence waits for its end."""

@@ -73,12 +73,18 @@ class Terminal:
             pass
         return self.process.returncode, self.process.stdout.read().decode()
 
+    def hang_up(self) -> None:
+        """As a connection that breaks."""
+        os.close(self._master)
+        self._master = -1
+
     def close(self) -> None:
         if self.process.poll() is None:
             self.process.kill()
         self.process.wait()
         self.process.stdout.close()
-        os.close(self._master)
+        if self._master >= 0:
+            os.close(self._master)
 
 
 class Person:

@@ -114,6 +114,18 @@ def test_ctrl_c_cuts_the_attempt_off_and_keeps_it(terminal, store):
     assert read_episode(store.blob(episode.blob))[0] == episode
 
 
+def test_a_terminal_that_goes_away_ends_the_attempt_and_it_is_kept(terminal, store):
+    child = terminal(*FAST)
+    child.wait_for("RESET")
+    child.press("\r")
+    child.wait_for("1.0 s YOU")
+    child.hang_up()
+    child.process.wait(20)
+    (episode,) = store.episodes()
+    assert episode.outcome.reason == "cut off: the terminal is gone" and episode.frames >= 20
+    assert read_episode(store.blob(episode.blob))[0] == episode
+
+
 def test_what_a_killed_session_left_is_kept_by_the_next_one(terminal, store):
     child = terminal(*FAST, "--operator", "p7", "--consent", "form-7")
     child.wait_for("RESET")
