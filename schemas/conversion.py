@@ -72,6 +72,7 @@ class Conversion(Frozen):
     code: Sha256 = Field(description="hash of the source files that convert")
     state: Literal["converted", "quarantined", "refused"]
     reason: str = Field(default="", description="why it was not converted")
+    mend: str = Field(default="", description="what a person can do about it")
     result: Converted | None = None
     files: dict[str, Sha256] = Field(default={}, description="frames, camera.NAME -> blob")
 

@@ -167,6 +167,23 @@ class IngestMap(Declared):
         return {name: [source] if isinstance(source, dict) else source for name, source in value.items()}  # pyright: ignore[reportUnknownVariableType]
 
     @model_validator(mode="after")
+    def consent_names_its_person(self) -> Self:
+        """A consent is of somebody: the pseudonym stands in the map, and the record must have the same."""
+        if self.consent is not None and self.operator is None:
+            raise ValueError(f"consent {self.consent!r} without operator: name the pseudonym that the record has")
+        return self
+
+    @model_validator(mode="after")
+    def silence_is_that_of_a_feature(self) -> Self:
+        """Gaps are looked for where samples are taken."""
+        if isinstance(self.episodes, Gap) and self.episodes.topic is not None:
+            known = sorted({source.topic for sources in self.features.values() for source in sources})
+            if self.episodes.topic not in known:
+                raise ValueError(f"episodes.topic = {self.episodes.topic!r}: use the topic of a feature: "
+                                 f"{', '.join(known)}")
+        return self
+
+    @model_validator(mode="after")
     def feature_names_are_free(self) -> Self:
         """No feature is called as a column that every version has, or as a skew."""
         for name, sources in self.features.items():

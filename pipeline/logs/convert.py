@@ -3,11 +3,12 @@
 What is taken goes to spools on the disk as it comes; then the episodes are laid out one after the other.
 """
 
+import time
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from pipeline.errors import RecordingError
+from pipeline.errors import ConfigError, RecordingError
 from pipeline.logs.batch import Channel
 from pipeline.logs.decode import Decoder, decoder
 from pipeline.logs.framing import Framing
@@ -15,6 +16,7 @@ from pipeline.logs.intake import CameraIntake, EventIntake, Intake, StateIntake
 from pipeline.logs.mapping import EXAMPLE
 from pipeline.logs.stream import LogReader, open_log
 from pipeline.logs.tracks import tracks
+from pipeline.store.folder import explain
 from schemas.conversion import CameraFile, TopicUse
 from schemas.ingest import IngestMap, Marker, TopicOutcome
 
@@ -22,35 +24,44 @@ FRAMES = "frames"
 """The file of frames; the images of a camera lie beside it in camera.NAME."""
 PROGRESS = "progress"
 """A file that says how many bytes of the log were read so far."""
+PROGRESS_S = 0.5
 
 _LISTED = 20
 
 
-def convert(log: str, declared: str, folder: str) -> dict[str, Any]:
+def convert(log: str, declared: str, folder: str, accept_truncated: bool = False) -> dict[str, Any]:
     """Convert one log; made for a child process, so it takes texts and gives what JSON knows.
 
     Args:
         log: path of an MCAP file.
         declared: an IngestMap as JSON; its labels play no part.
         folder: an empty folder; gets `frames` and one `camera.NAME` for each camera.
+        accept_truncated: keep what comes before the first damage or missing byte.
 
     Returns:
         A Converted.
 
     Raises:
-        RecordingError: the log is damaged or hostile, or lacks what the map asks for.
-        ConfigError: the map does not fit the messages.
+        RecordingError: the log is damaged or hostile.
+        ConfigError: the map and the log do not fit; a topic that is missing is one case.
+        StoreError: the disk is full.
     """
-    asked, into = IngestMap.model_validate_json(declared), Path(folder)
+    try:
+        return _convert(Path(log), IngestMap.model_validate_json(declared), Path(folder), accept_truncated)
+    except OSError as error:
+        raise explain(error, folder) from error
+
+
+def _convert(log: Path, asked: IngestMap, into: Path, accept_truncated: bool) -> dict[str, Any]:
     reading = _Reading(asked, into)
-    with open_log(Path(log)) as reader:
+    with open_log(log, accept_truncated=accept_truncated) as reader:
         reading.run(reader)
         topics, problems = reading.topics(reader), [p.what for p in reader.problems]
     for camera in reading.cameras:
         camera.writer.close()
-    reading.require(Path(log), topics)
-    taken = tracks(reading.states, reading.cameras, Path(log), problems)
-    result = Framing(asked, taken, reading.events, Path(log), problems).write(into / FRAMES)
+    reading.require(log, topics)
+    taken = tracks(reading.states, reading.cameras, log, problems)
+    result = Framing(asked, taken, reading.events, log, problems).write(into / FRAMES)
     for spool in into.glob("spool.*"):
         spool.unlink()
     cameras = {c.name: CameraFile(images=c.writer.images, format=c.writer.format) for c in reading.cameras}
@@ -77,7 +88,11 @@ class _Reading:
 
     def run(self, reader: LogReader) -> None:
         """Read the log to its end."""
+        told = 0.0
         for batch in reader.batches(self._wanted):
+            if (now := time.monotonic()) > told + PROGRESS_S:
+                self._progress.write_text(str(reader.position), encoding="ascii")
+                told = now
             number = batch.channel.number
             decode = self._decoders[number]
             assert not isinstance(decode, RecordingError), "no batches are asked for of what cannot be decoded"
@@ -101,10 +116,10 @@ class _Reading:
             use = there.get(intake.topic)
             if use is None or not use.messages:
                 names = ", ".join(sorted(there)[:_LISTED]) or "nothing"
-                raise RecordingError(f"topic {intake.topic}, required by map {self._asked.name!r}, is missing",
+                raise ConfigError(f"topic {intake.topic}, required by map {self._asked.name!r}, is missing",
                                      where=log, mend=f"name topics as the log does; it holds: {names}")
             if use.use == "undecodable":
-                raise RecordingError(f"topic {intake.topic}, required by map {self._asked.name!r}, cannot be decoded: "
+                raise ConfigError(f"topic {intake.topic}, required by map {self._asked.name!r}, cannot be decoded: "
                                      f"{use.reason}", where=log, mend="leave it out of the map; the log stays as it is")
             if isinstance(intake, StateIntake) and intake.spool is None:
                 raise _no_values(intake, log)
@@ -129,9 +144,9 @@ class _Reading:
                         messages=reader.counts.get(channel.number, 0), use=use, reason=failed, left_out=left_out)
 
 
-def _no_values(intake: StateIntake, log: Path) -> RecordingError:
+def _no_values(intake: StateIntake, log: Path) -> ConfigError:
     reasons = "; ".join(f"{reason} ({n} messages)" for reason, n in intake.refused.most_common(3))
     fields = ", ".join(sorted(intake.taker.seen)[:_LISTED])
     mend = f"its number fields are: {fields}" if fields else EXAMPLE
-    return RecordingError(f"{intake.feature}: no message of {intake.topic} has the values asked for: {reasons}",
+    return ConfigError(f"{intake.feature}: no message of {intake.topic} has the values asked for: {reasons}",
                           where=log, mend=mend)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.errors import RecordingError
+from pipeline.errors import ConfigError
 from pipeline.logs.episodes import Bounds, Event, by_gap, by_marker, common, covered, labels, whole
 from pipeline.logs.intake import EventIntake
 from pipeline.logs.mapping import EXAMPLE
@@ -49,7 +49,7 @@ class Framing:
         """Write all episodes and say what they are.
 
         Raises:
-            RecordingError: topics that have no time in common, or an episode without end.
+            ConfigError: topics that have no time in common, or an episode without end.
         """
         writer, spans, short = FrameWriter(file), list[Span](), 0
         bounds, outcome = self._bounds(), self._asked.outcome
@@ -91,7 +91,7 @@ class Framing:
         apart = (late.samples.span[0] - early.samples.span[1]) / NS
         how = f"{late.topic} begins {apart:.3g} s after {early.topic} ends, by {late.clock} and {early.clock} time" \
             if apart > 0 else "no sample of one lies near enough to a sample of each other"
-        raise RecordingError(f"the topics have no time in common: {how}", where=self._log,
+        raise ConfigError(f"the topics have no time in common: {how}", where=self._log,
                              mend=f"declare one clock for all, or a larger max_skew_s; {EXAMPLE}")
 
     def _runs(self, number: int, bound: Bounds) -> list[Run]:
@@ -121,7 +121,7 @@ class Framing:
             if end > first:
                 found.append((first, end))
         if (frames := sum(b - a for a, b in found)) > MAX_FRAMES:
-            raise RecordingError(f"an episode has {frames} frames, {MAX_FRAMES} are allowed", where=self._log,
+            raise ConfigError(f"an episode has {frames} frames, {MAX_FRAMES} are allowed", where=self._log,
                                  mend="lower fps or max_skew_s, or part the log by marker or gap")
         return found
 

@@ -61,6 +61,11 @@ class LogReader:
         self._metadata: list[tuple[str, dict[str, str]]] | None = None
 
     @property
+    def position(self) -> int:
+        """Bytes of the file that were read so far."""
+        return self._stream.tell()
+
+    @property
     def problems(self) -> list[Problem]:
         """What was wrong or odd and did not keep the log from being read; complete once all batches were read."""
         return self._problems.all()

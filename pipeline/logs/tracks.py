@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.errors import RecordingError
+from pipeline.errors import ConfigError
 from pipeline.frames import Features
 from pipeline.logs.intake import CameraIntake, StateIntake
 from pipeline.logs.resample import NS, only, pick, values
@@ -77,7 +77,7 @@ def tracks(states: Sequence[StateIntake], cameras: Sequence[CameraIntake], log: 
     """The tracks of what was taken; what is odd about their stamps is added to `problems`.
 
     Raises:
-        RecordingError: stamps that are all 0, or that go back farther than a frame may lie from its sample.
+        ConfigError: stamps that are all 0, or that go back farther than a frame may lie from its sample.
     """
     features: dict[str, tuple[str, ...]] = {}
     topics: dict[str, tuple[str, ...]] = {}
@@ -106,11 +106,11 @@ def _odd(track: Track, intake: StateIntake | CameraIntake, log: Path) -> list[st
     spool, samples = intake.spool, track.samples
     assert spool is not None
     if not len(samples):
-        raise RecordingError(f"all {spool.count} messages of {track.topic} have {track.clock} time 0", where=log,
+        raise ConfigError(f"all {spool.count} messages of {track.topic} have {track.clock} time 0", where=log,
                              mend="declare another clock for this topic: log, publish or header")
     back = spool.back
     if track.clock != "log" and back.by_ns > round(track.max_skew_s * NS):
-        raise RecordingError(f"{track.topic} goes back {back.by_ns / NS:.3g} s at message {back.message}, by its "
+        raise ConfigError(f"{track.topic} goes back {back.by_ns / NS:.3g} s at message {back.message}, by its "
                              f"{track.clock} time", where=log,
                              mend="declare clock: log for this topic, or cut the log where its clock was set back")
     told: list[str] = []

@@ -1,0 +1,37 @@
+"""hardcase ingest on the command line."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pipeline.errors import ConfigError
+
+
+def ingest(
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="MCAP files, or folders of them.")],
+    map: Annotated[Path | None, typer.Option(help="YAML file: which topics and fields become which features.")] = None,
+    dataset: Annotated[str | None, typer.Option(help="Build a version of this name from the episodes.")] = None,
+    suggest: Annotated[bool, typer.Option("--suggest", help="Print a first map for a log and stop.")] = False,
+    accept_truncated: Annotated[bool, typer.Option(
+        "--accept-truncated", help="Keep what comes before the first damage or missing byte.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON for machines.")] = False,
+) -> None:
+    """Bring other robots' logs into the store and convert them by a declared map; only what changed is done again.
+
+    The raw file is kept untouched. Exit code 0: all converted, 2: a log was refused or quarantined.
+
+    Example: hardcase ingest --suggest run.mcap > map.yaml; hardcase ingest *.mcap --map map.yaml --dataset first
+    """
+    from flows.ingest_display import ingest_all, suggest_map
+
+    if suggest:
+        for log in logs:
+            typer.echo(suggest_map(log), nl=False)
+        return
+    if map is None:
+        raise ConfigError("no map says how to read the logs", where="hardcase ingest",
+                          mend=f"write one, or begin with: hardcase ingest --suggest {logs[0]} > map.yaml")
+    text, code = ingest_all(logs, map, dataset=dataset, accept_truncated=accept_truncated, as_json=json)
+    typer.echo(text)
+    raise typer.Exit(code)

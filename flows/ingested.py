@@ -1,0 +1,108 @@
+"""A dataset version of ingested episodes: who may be learnt from, and what waits."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from flows.consents import consents_now
+from flows.ingesting import Taken
+from pipeline.check.door import Verdicts
+from pipeline.errors import ConfigError
+from pipeline.frames import FeatureTable
+from pipeline.logs.convert import FRAMES
+from pipeline.logs.tables import FrameFile
+from pipeline.store import Store
+from schemas.conversion import Conversion
+from schemas.dataset import DatasetVersion
+from schemas.episode import Episode
+from schemas.ingest import IngestMap
+from schemas.recipe import DatasetConfig, Recipe
+from stages.build import build
+
+CAMERA = "camera."
+
+
+@dataclass(frozen=True, slots=True)
+class Built:
+    """A version that was built from ingested episodes, and what did not reach it."""
+
+    version: DatasetVersion
+    left_out: Mapping[str, int]
+    """Reason -> episodes that stay in the store and out of the version."""
+    cameras: tuple[str, ...]
+    """Cameras whose images wait in the store: the version has no column of them."""
+
+
+def build_version(store: Store, name: str, declared: IngestMap, taken: Sequence[Taken]) -> Built:
+    """A dataset version of all episodes that may be learnt from, with the features and skews of the map.
+
+    An episode whose person does not consent, that failed, or whose log or frames failed a check stays out.
+
+    Raises:
+        ConsentError: no episode has a consent that holds; names the first.
+        ConfigError: no episode is left.
+        DatasetError: the features of two logs differ.
+    """
+    converted = {e.id: t for t in taken for e in t.episodes}
+    episodes = list({e.id: e for t in taken for e in t.episodes}.values())
+    if not episodes:
+        raise ConfigError("no log gave an episode", where=f"--dataset {name}",
+                          mend="see the problems of each log above, mend the map, and ingest again")
+    consents = consents_now(store)
+    agreed = [e for e in episodes if consents.flaw(e) is None]
+    if not agreed:
+        consents.check(episodes)
+    sound = [e for e in agreed if e.outcome.label != "failure"]
+    verdicts = _verdicts(store, sound, converted)
+    good = verdicts.passing(sound)
+    counts = (len(episodes) - len(agreed), len(agreed) - len(sound), len(sound) - len(good))
+    left_out = {why: n for why, n in zip(("no consent that holds", "failure", "failed a check"), counts, strict=True)
+                if n}
+    if not good:
+        told = ", ".join(f"{n} {why}" for why, n in left_out.items())
+        raise ConfigError(f"none of {len(episodes)} episodes may be learnt from ({told})", where=f"--dataset {name}",
+                          mend="see what the checks found: hardcase check LOG; or ingest attempts that succeeded")
+    made = {t.conversion.id: t.conversion for t in (converted[e.id] for e in good)}
+    cameras = tuple(sorted({n.removeprefix(CAMERA) for c in made.values() for n in c.files if n.startswith(CAMERA)}))
+    version = _build(store, name, declared, good, converted, verdicts, _notes(made, cameras))
+    return Built(version, left_out, cameras)
+
+
+def _build(store: Store, name: str, declared: IngestMap, episodes: list[Episode], converted: Mapping[str, Taken],
+           verdicts: Verdicts, notes: Mapping[str, object]) -> DatasetVersion:
+    files: dict[str, FrameFile] = {}
+
+    def frames_of(episode: Episode) -> FeatureTable:
+        taken = converted[episode.id]
+        sha = taken.conversion.files[FRAMES]
+        if sha not in files:
+            files[sha] = FrameFile(store.blob(sha), _features(taken.conversion))
+        return files[sha].table([e.id for e in taken.episodes].index(episode.id))
+
+    recipe = Recipe(name=name, robot=declared.robot,
+                    dataset=DatasetConfig(sources=("ingested",), only_success=False, weights={"base": 1.0}))
+    version = build(episodes, frames_of, recipe, store=store.root, task=declared.task, generation=0,
+                    consents=consents_now(store), verdicts=verdicts,
+                    features=_features(converted[episodes[0].id].conversion), notes=notes)
+    store.add_version_of_logs(version)
+    return version
+
+
+def _verdicts(store: Store, episodes: Sequence[Episode], converted: Mapping[str, Taken]) -> Verdicts:
+    """What the checks found of the logs, which counts for everything that was made of them."""
+    log_of = {e.blob or "": converted[e.id].conversion.log for e in episodes}
+    found = store.checks({*log_of, *log_of.values()})
+    return Verdicts({blob: verdict for blob, log in log_of.items()
+                     if (verdict := found.get(blob) or found.get(log)) is not None})
+
+
+def _features(made: Conversion) -> dict[str, tuple[str, ...]]:
+    assert made.result is not None, "only what was converted has episodes"
+    return made.result.features
+
+
+def _notes(made: Mapping[str, Conversion], cameras: Sequence[str]) -> dict[str, object]:
+    """What the manifest says: the conversions, and where the images of each camera wait; `frames` says which image
+    each frame uses."""
+    waiting = {camera: [{"images": c.files[CAMERA + camera], "frames": c.files[FRAMES]} for c in made.values()
+                        if CAMERA + camera in c.files] for camera in cameras}
+    return {"ingested": {"conversions": list(made), "cameras_waiting": waiting}}

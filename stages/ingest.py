@@ -1,0 +1,101 @@
+"""Ingest: somebody else's log and a declared map become a conversion, and that becomes episodes."""
+
+import json
+from pathlib import Path
+
+from pipeline import arrow, frames
+from pipeline.errors import ConfigError, RecordingError
+from pipeline.files import sha256, short_id, source_hash
+from pipeline.lerobot_view.split import DRAWN
+from pipeline.logs import convert as conversions
+from pipeline.logs.child import Children, Limits
+from pipeline.store.ingests import INGEST
+from schemas import conversion as shapes
+from schemas import ingest as maps
+from schemas.consent import NO_CONSENT
+from schemas.conversion import Conversion, Converted, Ingestion
+from schemas.episode import Episode, Outcome, Segment
+from schemas.ingest import IngestMap, SaidOutcome
+from schemas.scene import SceneSpec
+
+LABELS = ("name", "robot", "task", "consent", "operator", "site")
+"""What a map says about episodes and not about reading: a change of these converts nothing again."""
+BYTES_A_SECOND = 2.5e5
+"""CPU time that each byte of a log is worth; packed messages of a few bytes are the slowest to read."""
+OTHERS = ("child", "fingerprint", "inspection", "roles", "suggest", "survey", "worker")
+"""Modules of pipeline/logs that change no byte of a conversion."""
+
+
+def ingest(log: Path, declared: IngestMap, *, sha: str, folder: Path, children: Children,
+           accept_truncated: bool = False) -> Conversion:
+    """Convert one log in a limited child, or say why it cannot be; a bad log is a result, not an error.
+
+    Args:
+        log: an MCAP file, under whatever name.
+        declared: how to read it.
+        sha: hash of the log.
+        folder: an empty folder for the files that are made: `frames`, and `camera.NAME` for each camera.
+        children: where foreign files are read.
+        accept_truncated: keep what comes before the first damage or missing byte.
+
+    Returns:
+        The conversion without its files, whose hashes are known once they are stored.
+
+    Raises:
+        StoreError: the disk is full.
+    """
+    made = Conversion(id=conversion_id(sha, declared, accept_truncated=accept_truncated), log=sha,
+                      reads=_reads(declared), code=code_hash(), state="refused")
+    try:
+        limits = Limits.of(log, bytes_a_second=BYTES_A_SECOND)
+        told = children.call(conversions.convert, str(log), declared.model_dump_json(), str(folder), accept_truncated,
+                             where=log, limits=limits)
+    except RecordingError as error:
+        return made.model_copy(update={"state": "quarantined", "reason": error.what, "mend": error.mend})
+    except ConfigError as error:
+        return made.model_copy(update={"reason": error.what, "mend": error.mend})
+    return made.model_copy(update={"state": "converted", "result": Converted.model_validate(told)})
+
+
+def conversion_id(sha: str, declared: IngestMap, *, accept_truncated: bool = False) -> str:
+    """Id of what a log becomes: it follows from the log, what the map says about reading, and the code."""
+    return short_id("conversion", sha, _reads(declared), code_hash(), accept_truncated)
+
+
+def code_hash() -> str:
+    """Hash of every source file that decides which frames a log becomes."""
+    here = Path(__file__)
+    ours = [file for file in (here.parents[1] / "pipeline" / "logs").glob("*.py") if file.stem not in OTHERS]
+    shared = [here.parents[1] / "pipeline" / "recording" / f"{name}.py" for name in ("errors", "fields", "records")]
+    return source_hash([here, *ours, *shared, *(Path(m.__file__ or "") for m in (arrow, frames, maps, shapes))])
+
+
+def episodes_of(made: Conversion, declared: IngestMap) -> tuple[Ingestion, list[Episode]]:
+    """The episodes of a conversion, with what the map says about them."""
+    assert made.result is not None, "only what was converted has episodes"
+    id = short_id("ingestion", made.id, declared.model_dump_json())
+    judged = "operator" if isinstance(declared.outcome, SaidOutcome) else "sensors"
+    actor = declared.operator or "unknown"
+    episodes = [
+        Episode(id=short_id("ingested", id, span.boundary, span.part), origin="ingested",
+                scene=_scene(made, declared, span.boundary), control_hz=declared.fps, frames=span.frames, generation=0,
+                outcome=Outcome(label=span.label, judged_by=judged), transform=f"{INGEST}{id}",
+                segments=(Segment(kind="demonstration", start=0, stop=span.frames, actor=actor),),
+                blob=made.files[conversions.FRAMES], consent=declared.consent or NO_CONSENT)
+        for span in made.result.spans
+    ]
+    return Ingestion(id=id, conversion=made.id, declared=declared, episodes=tuple(e.id for e in episodes)), episodes
+
+
+def _scene(made: Conversion, declared: IngestMap, boundary: int) -> SceneSpec:
+    """What is known of the start: nothing but who and what. Its seed is the same for every conversion of a log, so
+    that a stretch of a log never stands on both sides of a split."""
+    seed = DRAWN + int(short_id("start", made.log, boundary), 16) % DRAWN
+    return SceneSpec(family="foreign", seed=seed, robot=declared.robot, scene=declared.site or "elsewhere",
+                     task=declared.name, stratum="foreign", object_xy_m=(0, 0), object_yaw_rad=0, object_half_m=0,
+                     target_xy_m=(0, 0))
+
+
+def _reads(declared: IngestMap) -> str:
+    told = declared.model_dump(mode="json", exclude=set(LABELS))
+    return sha256(json.dumps(told, sort_keys=False).encode())
