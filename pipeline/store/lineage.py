@@ -208,7 +208,8 @@ def _raw_log(store: Reader, id: str, full: bool) -> Lineage:
     for c in store.conversions(id):
         episodes = [str(e) for (e,) in store.query(
             "SELECT episode.id FROM ingestion JOIN episode"
-            " ON json_extract(episode.json, '$.transform') = 'ingest ' || ingestion.id WHERE ingestion.conversion = ? ORDER BY episode.place", (c.id,))]
+            " ON json_extract(episode.json, '$.transform') = 'ingest ' || ingestion.id"
+            " WHERE ingestion.conversion = ? ORDER BY episode.place", (c.id,))]
         facts = {"state": f"{c.state}{': ' + c.reason if c.reason else ''}", "code": c.code,
                  "episodes": f"{len(episodes)}: {some(episodes, full)}" if episodes else "none"}
         children.append(Lineage(kind="conversion", id=c.id, role="made of it",
