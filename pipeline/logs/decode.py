@@ -17,8 +17,11 @@ __all__ = ["ENCODINGS", "Decoder", "Fields", "decoder"]
 
 ENCODINGS: MappingProxyType[tuple[str, str], "Callable[[Channel], Decoder]"] = MappingProxyType({
     ("cdr", "ros2msg"): Ros2Decoder,
+    ("cdr", "ros2idl"): Ros2Decoder,
+    ("cdr", "omgidl"): Ros2Decoder,
     ("json", "jsonschema"): JsonDecoder,
     ("json", "ros2msg"): JsonDecoder,
+    ("json", "ros2idl"): JsonDecoder,
     ("json", "ros1msg"): JsonDecoder,
     ("json", ""): JsonDecoder,
     ("protobuf", "protobuf"): ProtobufDecoder,

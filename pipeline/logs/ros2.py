@@ -7,6 +7,7 @@ import numpy as np
 from pipeline.logs.columns import Columns, Rows, merge
 from pipeline.logs.fields import Fields
 from pipeline.logs.ros2_columns import Block, each
+from pipeline.logs.ros2_idl import parse_idl
 from pipeline.logs.ros2_layout import SLACK, Layout, Walk, compile_type
 from pipeline.logs.ros2_types import parse, short
 
@@ -28,7 +29,8 @@ class Ros2Decoder:
     def __init__(self, channel: "Channel") -> None:
         name = short(channel.schema_name)
         text = channel.schema.decode("utf-8", "replace")
-        self._plan = compile_type(name, parse(name, text, channel.topic), channel.topic)
+        reader = parse if channel.schema_encoding == "ros2msg" else parse_idl
+        self._plan = compile_type(name, reader(name, text, channel.topic), channel.topic)
         self._known: list[Layout] = []
 
     def decode(self, batch: "Batch", /) -> Fields:

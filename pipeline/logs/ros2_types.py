@@ -23,7 +23,8 @@ type Count = int | Literal["one", "many"]
 _SEPARATOR = re.compile(r"^={20,}[ \t]*$", re.MULTILINE)
 _TITLE = re.compile(r"\A\s*(MSG|IDL):[ \t]*(\S+)[ \t]*$", re.MULTILINE)
 _MEMBER = re.compile(r"([A-Za-z][\w/]*)(?:<=\d+)?(?:\[(<=)?(\d*)\])?\s+([A-Za-z]\w*)\s*(.*)")
-_MEND = "record with the type's own package sourced, or leave the topic out of the map"
+MEND = "record with the type's own package sourced, or leave the topic out of the map"
+"""What a person can do about a schema that cannot be used."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +87,7 @@ def _members(title: str, body: str, where: object) -> list[Member]:
             continue
         match = _MEMBER.fullmatch(line)
         if not match:
-            raise RecordingError(f"{title}: {line[:80]!r} is no field", where=where, mend=_MEND)
+            raise RecordingError(f"{title}: {line[:80]!r} is no field", where=where, mend=MEND)
         kind, upto, count, field, rest = match.groups()
         if rest.startswith("="):  # a constant; anything else is a default value, which the messages do not need
             continue
@@ -109,6 +110,6 @@ def _resolved(title: str, member: Member, types: Types, where: object) -> Member
         alike = [other for other in (*types, *TIMES) if other.split("/")[-1] == kind]
         if len(alike) != 1:
             raise RecordingError(f"{title}.{member.name} is of type {kind}, which the schema does not define",
-                                 where=where, mend=_MEND)
+                                 where=where, mend=MEND)
         full = alike[0]
     return Member(member.name, full, member.count)
