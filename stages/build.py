@@ -1,4 +1,9 @@
-"""Build: episodes and a recipe become an immutable dataset version."""
+"""Build: episodes and a recipe become an immutable dataset version.
+
+Episodes of the parent keep their order and come first; those that also keep their place share its files and are not
+read again. The id follows from the recipe, the episodes, the parent and the code, so that a build which was killed and
+started again ends in the same version.
+"""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -42,53 +47,53 @@ def build(episodes: Sequence[Episode], frames_of: Callable[[Episode], Table] | M
           notes: Mapping[str, object] = NOTHING) -> DatasetVersion:
     """Make the dataset version that the recipe asks for, or return it if it is already there.
 
-    Episodes of the parent keep their order and come first; those that also keep their place share its
-    files and are not read again. The id follows from the recipe, the episodes, the parent and the code,
-    so that a build which was killed and started again ends in the same version.
-
     Args:
-        episodes: everything that may enter, the parent's episodes included; ancestors that the filter
-            drops should be among them, because they tell which episodes belong together.
+        episodes: all that may enter; the parent's and ancestors among them, for they tell what belongs together.
         frames_of: gives the frames of an episode.
         recipe: its dataset section chooses; augment.keep_rejected lets failed variants pass.
         store: root of the store; the version becomes store/versions/ID.
-        task: what the robot is asked to do, in words, for language-conditioned policies; one text for all
-            episodes, or one for each id.
+        task: what the robot is asked to do, in words; one text for all episodes, or one for each id.
         generation: lap of the loop, from 0.
         parent: the version this one grows from.
-        consents: the consent records, and the moment of this use.
-        verdicts: what the checks found; an episode that failed is refused.
+        consents, verdicts: who agrees at this moment, and what the checks found; who or what does not is refused.
         features: of the robot; every episode and the parent must have these.
         notes: what else the manifest shall say.
 
     Raises:
         ConsentError: a person in an episode, or in one that it was made from, does not consent.
-        DatasetError: nothing is left after the filter, an episode failed its check or has no recording, its
-            frames are not what its record says or have other features, or the parent's folder is damaged.
+        DatasetError: nothing is left after the filter, an episode failed its check, has no recording or not the
+            frames or features that it should, or the parent's folder is damaged.
         RecordingError: a frame that is not finite or has a wrong shape; names the episode.
         ConfigError: weights that do not fit the groups of episodes.
     """
     chosen = _in_order(_filtered(episodes, recipe), parent)
     consents.check(chosen, episodes)
     verdicts.check(chosen, episodes)
-    fps, robot = _common(chosen)
     code = code_hash()
     other = () if features is FEATURES else (_text(features), _text(notes))
     version = short_id(
         "dataset version", recipe.dataset.model_dump_json(), recipe.augment.keep_rejected, _text(task), generation,
-        parent.id if parent else "", code, *other, *(e.model_dump_json() for e in chosen),
-    )
-    target = store / FOLDER / version
-    if not target.exists():
-        decided = split.Decided() if parent is None else _parent_decisions(store, parent)
-        rows, held, weights = _rows(chosen, episodes, recipe, task, decided)
-        facts = {"id": version, "generation": generation, "parent": parent.id if parent else None, "weights": weights,
-                 "code": code}
-        reuse = _same_features(store / parent.path, features, robot) if parent and parent.code == code else None
-        content = {**_content(facts, rows, held, recipe, task, decided), **notes}
-        writer.write_version(target, rows, _getter(frames_of), content, aside=store / "tmp", fps=fps, robot=robot,
-                             parent=reuse, of=features)
+        parent.id if parent else "", code, *other, *(e.model_dump_json() for e in chosen))
+    facts = {"id": version, "generation": generation, "parent": parent.id if parent else None, "code": code}
+    if not (target := store / FOLDER / version).exists():
+        _write(target, chosen, episodes, recipe, task, parent, _getter(frames_of), features, facts, notes)
     return load_version(target)
+
+
+def _write(target: Path, chosen: Sequence[Episode], everything: Sequence[Episode], recipe: Recipe,
+           task: str | Mapping[str, str], parent: DatasetVersion | None, frames_of: Callable[[Episode], Table],
+           features: Features, facts: Mapping[str, object], notes: Mapping[str, object]) -> None:
+    """Decide split and weights, then write the folder."""
+    store = target.parents[1]
+    fps, robot = _common(chosen)
+    decided = split.Decided() if parent is None else _parent_decisions(store, parent)
+    rows, held, weights = _rows(chosen, everything, recipe, task, decided)
+    reuse = None
+    if parent is not None and parent.code == facts["code"]:
+        reuse = _same_features(store / parent.path, features, robot)
+    content = {**_content({**facts, "weights": weights}, rows, held, recipe, task, decided), **notes}
+    writer.write_version(target, rows, frames_of, content, aside=store / "tmp", fps=fps, robot=robot, parent=reuse,
+                         of=features)
 
 
 def _content(facts: Mapping[str, object], rows: Sequence[Row], held: frozenset[str], recipe: Recipe,
