@@ -15,15 +15,14 @@ if TYPE_CHECKING:
 
 __all__ = ["ENCODINGS", "Decoder", "Fields", "decoder"]
 
+ANY = "any"
+"""Stands for every schema encoding, and for none."""
+
 ENCODINGS: MappingProxyType[tuple[str, str], "Callable[[Channel], Decoder]"] = MappingProxyType({
     ("cdr", "ros2msg"): Ros2Decoder,
     ("cdr", "ros2idl"): Ros2Decoder,
     ("cdr", "omgidl"): Ros2Decoder,
-    ("json", "jsonschema"): JsonDecoder,
-    ("json", "ros2msg"): JsonDecoder,
-    ("json", "ros2idl"): JsonDecoder,
-    ("json", "ros1msg"): JsonDecoder,
-    ("json", ""): JsonDecoder,
+    ("json", ANY): JsonDecoder,
     ("protobuf", "protobuf"): ProtobufDecoder,
 })
 """(message encoding, schema encoding) -> decoder."""
@@ -39,10 +38,10 @@ def decoder(channel: "Channel") -> Decoder:
             messages and goes on.
     """
     kinds = (channel.encoding, channel.schema_encoding)
-    make = ENCODINGS.get(kinds)
+    make = ENCODINGS.get(kinds) or ENCODINGS.get((channel.encoding, ANY))
     if make is None:
         encoding, schema = (kind or "none" for kind in kinds)
-        known = ", ".join(sorted(f"{a} with {b}" if b else a for a, b in ENCODINGS))
+        known = ", ".join(f"{a} with {b}" for a, b in ENCODINGS)
         raise RecordingError(f"messages are encoded as {encoding} with schema {schema}, known are {known}",
                              where=channel.topic, mend=_MEND)
     return make(channel)

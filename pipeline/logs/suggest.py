@@ -20,6 +20,7 @@ SLOWEST_HZ = 2.0
 FULL_TURN = 6.5
 """Joint positions beyond one turn look like degrees [rad]."""
 _CAMERA_WORDS = frozenset({"camera", "cam", "color", "compressed", "image", "images", "raw", "rect", "rgb"})
+_FEATURE_WORDS = frozenset({"action", "command", "commands", "observation", "observations"})
 _SIMPLE = re.compile(r"/?[A-Za-z_][\w/.]*(\[[\d:]+\])?", re.ASCII)
 _LISTED = 60
 
@@ -125,9 +126,10 @@ class _Guess:
             lines += self._feature("action", self.action)
         else:
             lines.append("  # No topic looks like a command. If one is, call it `action`: what the robot was told.")
-        names = [*(["observation.state"] if self.state else []), "action"]
+        names = ["observation.state", "action"]
         for taken in self.others[:_LISTED]:
-            name = f"observation.{slug(taken.topic.topic)}"
+            kind_of = "action" if role(taken.topic, taken) == "command" else "observation"
+            name = f"{kind_of}.{slug(taken.topic.topic, drop=_FEATURE_WORDS)}"
             name = name if name not in names else f"{name}_{len(names)}"
             names.append(name)
             lines += [f"  # {line[2:]}" for line in self._feature(name, [taken])]
@@ -196,7 +198,7 @@ class _Guess:
 def _said(taken: Taken) -> list[str]:
     topic = taken.topic
     lines = [f"{_plain(topic.type) or 'no type'}: {_rate(topic)}, {_messages(topic)}, "
-             + _plain(", ".join(f"{field} {_range(topic, field)}" for field in taken.fields[:4]))]
+             + _plain(", ".join(f"{field} {_range(topic, field)}" for field in taken.fields[:3]))]
     seen = topic.numbers[taken.fields[0].split("[")[0]]
     if (taken.joints or taken.names) and not seen.integral and max(abs(seen.low or 0), abs(seen.high or 0)) > FULL_TURN:
         lines.append("More than one turn: if these are degrees, add `unit: deg_to_rad`.")

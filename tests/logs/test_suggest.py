@@ -93,6 +93,21 @@ def test_stamps_that_are_not_set_make_log_time_the_clock(foreign_log, tmp_path):
     assert "stamps of /joint_states are not set" in text
 
 
+def test_what_is_left_over_can_be_had_by_taking_the_comment_signs_away(foreign_log, tmp_path):
+    with foreign_log() as made:
+        for k in range(60):
+            made.ros("/joint_states", "sensor_msgs/msg/JointState", k / 50, joints(k / 50, k))
+            for topic in ("/force", "/observation/force", "/base/command", "/gripper/command"):
+                made.ros(topic, "std_msgs/msg/Float64MultiArray", k / 50,
+                         {"layout": {"dim": [], "data_offset": 0}, "data": [1.0, 2.0]})
+    before, _, after = suggest(made.path).partition("  # action.")
+    rest = "".join(f"  {line[4:]}\n" if line.startswith("  # ") else f"{line}\n" for line in after.split("\n"))
+    found = loaded(before + "  action." + rest, tmp_path)
+    assert set(found.features) == {"observation.state", "action", "action.gripper", "observation.force",
+                                   "observation.force_4"}
+    assert len({source.topic for many in found.features.values() for source in many}) == 5
+
+
 def test_degrees_are_noticed(foreign_log, tmp_path):
     with foreign_log() as made:
         for k in range(90):
