@@ -1,5 +1,6 @@
 """A file as a window that moves on: no more of it in memory than one record and a block."""
 
+import os
 import zlib
 from io import FileIO
 
@@ -13,7 +14,6 @@ class Source:
     def __init__(self, stream: FileIO, size: int) -> None:
         self._stream, self.size = stream, size
         self.data, self.at, self._base, self._crc = b"", 0, 0, 0
-        stream.seek(0)
 
     @property
     def offset(self) -> int:
@@ -36,7 +36,7 @@ class Source:
         if self.left < count:
             return False
         rest = self._turn()
-        self.data = rest + self._read(max(BLOCK, count - len(rest)))
+        self.data = rest + self._read(self._base + len(rest), max(BLOCK, count - len(rest)))
         return self.holds(count)
 
     def skip(self, count: int) -> bool:
@@ -59,7 +59,6 @@ class Source:
             self.at += count
             return True
         self._base, self.at, self.data = self.offset + count, 0, b""
-        self._stream.seek(self._base)
         return True
 
     def crc(self) -> int:
@@ -76,12 +75,13 @@ class Source:
         self._base, self.at = self.offset, 0
         return rest
 
-    def _read(self, count: int) -> bytes:
-        first = self._stream.read(count)
+    def _read(self, offset: int, count: int) -> bytes:
+        """Bytes at a place of the file; the file's own position is left alone, since others read it too."""
+        first = os.pread(self._stream.fileno(), count, offset)
         if len(first) == count or not first:
             return first
-        pieces, missing = [first], count - len(first)
-        while missing and (piece := self._stream.read(missing)):
+        pieces, done = [first], len(first)
+        while done < count and (piece := os.pread(self._stream.fileno(), count - done, offset + done)):
             pieces.append(piece)
-            missing -= len(piece)
+            done += len(piece)
         return b"".join(pieces)

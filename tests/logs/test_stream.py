@@ -116,6 +116,18 @@ def test_a_file_far_larger_than_the_window_is_read_block_by_block(tmp_path, way,
     assert told(path) == []
 
 
+def test_metadata_attachments_and_a_second_reading_do_not_disturb_the_first(tmp_path, monkeypatch):
+    monkeypatch.setattr("pipeline.logs.source.BLOCK", 500)
+    path = write(tmp_path / "a.mcap")
+    with open_log(path) as log:
+        found, second = list[bytes](), log.batches()
+        for batch in log.batches():
+            found += [bytes(batch.payload(k)) for k in range(len(batch)) if batch.channel.topic == "a"]
+            assert log.metadata() == [("site", {"plant": "7"})] and len(list(log.attachments())) == 1
+            next(second, None)
+    assert found == [m[3] for m in by_the_library(path)["a"]]
+
+
 def test_many_messages_of_one_chunk_come_in_pieces(tmp_path, monkeypatch):
     monkeypatch.setattr("pipeline.logs.walk.PIECE", 50)
     monkeypatch.setattr("pipeline.logs.section.PIECE", 50)
@@ -272,7 +284,8 @@ MESSAGE = record(5, struct.pack("<HIQQ", 1, 0, 0, 0) + b"hi")
     (file_of(chunk_of(bytes(10), size=64 << 20)), "chunk at byte 25 declares 67108864 B out of 10, limit 1000 to 1"),
     (file_of(MESSAGE), "messages on channel 1, which was never declared"),
     (file_of(CHANNEL, OTHER), "record at byte 52 is damaged: channel 1 is declared twice, differently"),
-    (file_of(chunk_of(CHANNEL + MESSAGE[:-1])), "chunk at byte 25 is damaged: record at byte 27 of the unpacked chunk is cut off"),
+    (file_of(chunk_of(CHANNEL + MESSAGE[:-1])), "chunk at byte 25 is damaged: record at byte 27 of the unpacked chunk is "
+     "cut off"),
     (file_of(chunk_of(CHANNEL + chunk_of(b""))), "chunk at byte 25 is damaged: record of type 6 at byte 27"),
     (file_of(record(5, bytes(9))), "message at byte 25 has 9 B"),
 ], ids=["size", "length", "attachment", "ratio", "undeclared", "declared anew", "cut message", "nested", "short"])
