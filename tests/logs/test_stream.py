@@ -284,8 +284,8 @@ MESSAGE = record(5, struct.pack("<HIQQ", 1, 0, 0, 0) + b"hi")
     (file_of(chunk_of(bytes(10), size=64 << 20)), "chunk at byte 25 declares 67108864 B out of 10, limit 1000 to 1"),
     (file_of(MESSAGE), "messages on channel 1, which was never declared"),
     (file_of(CHANNEL, OTHER), "record at byte 52 is damaged: channel 1 is declared twice, differently"),
-    (file_of(chunk_of(CHANNEL + MESSAGE[:-1])), "chunk at byte 25 is damaged: record at byte 27 of the unpacked chunk is "
-     "cut off"),
+    (file_of(chunk_of(CHANNEL + MESSAGE[:-1])), "chunk at byte 25 is damaged: record at byte 27 of the unpacked chunk "
+     "is cut off"),
     (file_of(chunk_of(CHANNEL + chunk_of(b""))), "chunk at byte 25 is damaged: record of type 6 at byte 27"),
     (file_of(record(5, bytes(9))), "message at byte 25 has 9 B"),
 ], ids=["size", "length", "attachment", "ratio", "undeclared", "declared anew", "cut message", "nested", "short"])
