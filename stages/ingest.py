@@ -18,7 +18,7 @@ from schemas.episode import Episode, Outcome, Segment
 from schemas.ingest import IngestMap, SaidOutcome
 from schemas.scene import SceneSpec
 
-LABELS = ("name", "robot", "task", "consent", "operator", "site")
+LABELS = ("name", "task", "consent", "operator", "site")
 """What a map says about episodes and not about reading: a change of these converts nothing again."""
 BYTES_A_SECOND = 2.5e5
 """CPU time that each byte of a log is worth; packed messages of a few bytes are the slowest to read."""

@@ -74,7 +74,7 @@ class _Reading:
 
     def __init__(self, asked: IngestMap, folder: Path) -> None:
         sources = [(name, source) for name, many in asked.features.items() for source in many]
-        self.states = [StateIntake(name, source, asked.clock, folder / f"spool.{k}")
+        self.states = [StateIntake(name, source, asked.clock, folder / f"spool.{k}", asked.robot)
                        for k, (name, source) in enumerate(sources)]
         self.cameras = [CameraIntake(name, camera, asked.clock, folder) for name, camera in asked.cameras.items()]
         told = (asked.episodes, asked.outcome)

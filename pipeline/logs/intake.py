@@ -62,9 +62,9 @@ class _Clocked:
 class StateIntake(_Clocked):
     """The values of one source of a feature."""
 
-    def __init__(self, feature: str, source: Source, clock: Clock, file: Path) -> None:
+    def __init__(self, feature: str, source: Source, clock: Clock, file: Path, robot: str) -> None:
         super().__init__(source.topic, source.clock or clock)
-        self.feature, self.source = feature, source
+        self.feature, self.source, self._robot = feature, source, robot
         self.taker = Taker(source)
         self.refused = self.taker.refused
         self.spool: Spool | None = None
@@ -82,14 +82,18 @@ class StateIntake(_Clocked):
             keep = possible[rows]
             rows, values = rows[keep], values[keep]
         if self.spool is None:
-            self._check_widths(values.shape[1])
+            self._check_width(values.shape[1])
             self.spool = Spool(self._file, values.shape[1])
-        self.spool.append(times if rows.size == times.size else times[rows], values)
+        self.spool.append(times if rows.size == times.size else times[rows], self.taker.in_unit(values))
 
-    def _check_widths(self, width: int) -> None:
+    def _check_width(self, width: int) -> None:
+        """Refuse a map that speaks of more or fewer values than the messages have."""
         source = self.source
-        for field, given in (("names", source.names), ("scale", source.scale), ("offset", source.offset)):
-            if isinstance(given, tuple) and given and len(given) != width:
+        if source.names and len(source.names) != width:
+            raise ConfigError(f"{self.feature} has {width} values, robot {self._robot!r} expects {len(source.names)}",
+                              where=self.topic, mend=f"name every value of {', '.join(source.fields)}; {EXAMPLE}")
+        for field, given in (("scale", source.scale), ("offset", source.offset)):
+            if isinstance(given, tuple) and len(given) != width:
                 raise ConfigError(f"{self.feature}: {field} has {len(given)} entries for {width} values",
                                   where=self.topic, mend=EXAMPLE)
 

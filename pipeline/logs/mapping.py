@@ -62,16 +62,17 @@ class Taker:
                      for name in _element_names(column, first, self._widths[path]))
 
     def take(self, fields: Fields) -> tuple[Places, Rows]:
-        """Messages that have all that is asked for, shape (m,), and their values in the declared unit, (m, width)."""
+        """Messages that have all that is asked for, shape (m,), and their values as they are, shape (m, width)."""
         found = [self._column(fields, path, *parsed)
                  for path, parsed in zip(self._source.fields, self._paths, strict=True)]
         kept = found[0][0]
         for rows, _ in found[1:]:
             kept = np.intersect1d(kept, rows, assume_unique=True)
         parts = [values if rows.size == kept.size else values[np.searchsorted(rows, kept)] for rows, values in found]
-        return kept, self._in_unit(np.concatenate(parts, axis=1)) if kept.size else np.zeros((0, 0))
+        return kept, np.concatenate(parts, axis=1) if kept.size else np.zeros((0, 0))
 
-    def _in_unit(self, values: Rows) -> Rows:
+    def in_unit(self, values: Rows) -> Rows:
+        """Values in the declared unit, scaled and offset."""
         source = self._source
         if source.unit is not None:
             values = values * UNITS[source.unit]
