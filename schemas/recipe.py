@@ -20,7 +20,7 @@ class AugmentConfig(Frozen):
     replays: int = Field(default=150, ge=0, description="variants by replayed commands, at generation 0")
     retargets: int = Field(default=250, ge=0, description="variants by object-centric retargeting, at generation 0")
     per_correction: int = Field(
-        default=20, ge=0, description="variants near the start of every new episode that succeeded, in later laps")
+        default=30, ge=0, description="variants near the start of every new episode that succeeded, in later laps")
     widen: float = Field(default=1.0, gt=0, le=5, description="factor on every range; above 1 the filter has work")
     keep_rejected: bool = Field(default=False, description="control arm: failed variants are left in")
 

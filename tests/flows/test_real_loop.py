@@ -72,6 +72,21 @@ def test_the_control_shares_generation_0_and_learns_from_as_many_new_episodes(tu
     assert told.control[1].corrections == told.generations[1].corrections > 0
 
 
+def test_loop_and_control_get_the_same_variants_for_every_new_episode(store):
+    share = load_recipe("smoke").augment.per_correction
+    for run in store.runs():
+        first = {e.id for e in store.episodes(store.step(run, 0, "collect").outputs["ids"])}
+        new = [e.id for e in store.episodes(store.step(run, 0, "harvest").outputs["ids"])
+               if e.outcome.label == "success"]
+        told = store.step(run, 1, "augment").outputs["report"]
+        assert told["tried"] == {"retarget": share * len(new)}
+        assert sum(told["kept"].values()) == len(store.step(run, 1, "augment").outputs["ids"])
+        assert len(new) > 0
+        for id in store.step(run, 1, "augment").outputs["ids"]:
+            (variant,) = store.episodes([id])
+            assert variant.parent in first and str(variant.transform).split()[-1] in new
+
+
 def test_every_lap_grew_from_what_the_one_before_it_harvested(turned, store, run):
     zero, one = store.versions(run=run)
     corrected = {e.id for e in store.episodes(store.step(run, 0, "harvest").outputs["ids"])
