@@ -1,15 +1,13 @@
 """Record while it happens: any robot, any rate, cameras on; the control thread never waits for the disk."""
 
-import fcntl
 import json
 import os
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,14 +17,18 @@ from pipeline.files import sync_folder
 from pipeline.recording import cdr
 from pipeline.recording.live_file import LiveFile
 from pipeline.recording.live_header import START, segments_of, start_metadata
+from pipeline.recording.live_part import open_part, steady_clock
 from pipeline.recording.live_rows import Row, RowLayout, TickLayout, Vector
-from pipeline.recording.live_writer import QUEUE_BYTES, Item, LiveWriter, close_quietly, write_all
+from pipeline.recording.live_writer import QUEUE_BYTES, Body, Item, LiveWriter, close_quietly, write_all
 from pipeline.recording.metadata import NAME, episode_metadata
-from pipeline.recording.pictures import check_picture, image_message
+from pipeline.recording.pictures import check_jpeg, check_picture, image_message
 from pipeline.recording.verify import verify
-from pipeline.recording.write import RESERVE_BYTES, leave_reserve, lock, named, part_of
+from pipeline.recording.write import RESERVE_BYTES, named, part_of
 from schemas.consent import Consent
 from schemas.episode import Episode, Outcome, Segment
+
+_OVERHEAD = 200
+"""What a message takes in the queue besides its numbers [B]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,10 +42,8 @@ class Closed:
     """Topic -> messages that were lost because the disk was slower than the robot; "tick" counts whole ticks."""
 
 
-def steady_clock() -> Callable[[], int]:
-    """Time of day at this call, going on with the monotonic clock [ns]: it never goes back."""
-    base = time.time_ns() - time.monotonic_ns()
-    return lambda: base + time.monotonic_ns()
+_OVERHEAD = 200
+"""What a message takes in the queue besides its numbers [B]."""
 
 
 class LiveRecorder:
@@ -79,12 +79,11 @@ class LiveRecorder:
         self._episode, self._software, self._layout = episode, dict(software or {}), layout
         self._consent = consent
         self._clock = clock or steady_clock()
-        self._shapes: tuple[object, ...] | None = None
         self._numbered = self._closed = False
         first = episode.segments[0]
         self._starts: list[tuple[int, str, str]] = [(0, first.kind, first.actor)]
         with named(path):
-            self._handle = _open_part(path, reserve_bytes)
+            self._handle = open_part(path, reserve_bytes)
         try:
             with named(path):
                 self._begin(attachments, queue_bytes)
@@ -100,7 +99,7 @@ class LiveRecorder:
         if (urdf := attachments.get("robot.urdf")) is not None:
             self._file.add("/robot_description", 0, now, now, cdr.text(urdf.decode()))
             self._file.seal()
-        self._writer = LiveWriter(self._handle, self._file, self._clock, queue_bytes=queue_bytes)
+        self._writer = LiveWriter(self._handle, self._file, self._lay, self._clock, queue_bytes=queue_bytes)
 
     # -- while it happens -------------------------------------------------------------------------------------------
 
@@ -113,20 +112,19 @@ class LiveRecorder:
             stamp_ns: when it was perceived [ns], on the robot's clock; now where None.
         """
         if isinstance(row, Row):
-            if self._shapes is None and self._layout is None:
-                self._layout, self._shapes = RowLayout(row, self.path), row.shapes()
-            elif row.shapes() != self._shapes:
-                raise RecordingError(f"tick {tick} is laid out otherwise than the first", where=self.path,
-                                     mend="give the same links, rewards and sizes at every tick")
-            values = row.vector()
+            if self._layout is None:
+                self._layout = RowLayout(row, self.path)
+            values, names = row.vector(), row.names
         else:
-            values = np.array(row, np.float64)
-        if self._layout is None:
-            raise RecordingError("a vector without a layout", where=self.path, mend="LiveRecorder(..., layout=...)")
-        self.frames = max(self.frames, tick + 1)
+            values, names = np.array(row, np.float64), ()
+        if self._layout is None or values.shape != self._layout.shape or names != self._layout.names:
+            raise RecordingError(f"tick {tick} is laid out otherwise than the first", where=self.path,
+                                 mend="give the same links, rewards and sizes at every tick; for a vector, a layout")
+        if tick >= self.frames:
+            self.frames = tick + 1
         now = self._clock()
-        encode = partial(self._lay_tick, tick, now, now if stamp_ns is None else stamp_ns, values)
-        return self._writer.put(Item("tick", tick, encode), values.nbytes + 200)
+        return self._writer.put(Item("tick", tick, now, now if stamp_ns is None else stamp_ns, values),
+                                values.nbytes + _OVERHEAD)
 
     def write(self, topic: str, payload: bytes, *, tick: int | None = None, stamp_ns: int | None = None) -> bool:
         """Record one message of a topic of the dialect.
@@ -137,7 +135,7 @@ class LiveRecorder:
             tick: its sequence number; the tick that comes next where None.
             stamp_ns: publish time [ns]; now where None.
         """
-        return self._put(topic, lambda _: payload, len(payload), tick, stamp_ns)
+        return self._put(topic, payload, len(payload), tick, stamp_ns)
 
     def image(self, camera: str, picture: NDArray[np.uint8] | bytes, *, tick: int | None = None,
               stamp_ns: int | None = None) -> bool:
@@ -149,12 +147,14 @@ class LiveRecorder:
             tick: the tick it belongs to; the one that comes next where None.
             stamp_ns: when it was taken [ns]; now where None.
         """
-        check_picture(picture, f"camera {camera}")
-        if isinstance(picture, np.ndarray) and picture.flags.writeable:
+        topic = f"/camera/{camera}/image/compressed"
+        if isinstance(picture, bytes):
+            check_jpeg(picture, topic)
+            return self._put(topic, partial(image_message, camera, picture), len(picture), tick, stamp_ns, low=True)
+        check_picture(picture, topic)
+        if picture.flags.writeable:
             picture = picture.copy()
-        size = len(picture) if isinstance(picture, bytes) else picture.nbytes
-        return self._put(f"/camera/{camera}/image/compressed", partial(image_message, camera, picture), size, tick,
-                         stamp_ns, low=True)
+        return self._put(topic, picture, picture.nbytes, tick, stamp_ns, low=True)
 
     def phase(self, name: str, *, tick: int | None = None) -> bool:
         """Record that a subtask begins."""
@@ -191,20 +191,29 @@ class LiveRecorder:
         """Topic -> messages that were lost so far."""
         return dict(self._writer.dropped)
 
-    def _put(self, topic: str, payload: Callable[[int], bytes], size: int, tick: int | None, stamp_ns: int | None, *,
+    def _put(self, topic: str, body: Body, size: int, tick: int | None, stamp_ns: int | None, *,
              low: bool = False) -> bool:
-        now, sequence = self._clock(), self.frames if tick is None else tick
-        stamp = now if stamp_ns is None else stamp_ns
-        encode = partial(_lay, topic, sequence, now, stamp, payload)
-        return self._writer.put(Item(topic, sequence, encode), size + 200, low=low)
+        now = self._clock()
+        item = Item(topic, self.frames if tick is None else tick, now, now if stamp_ns is None else stamp_ns, body)
+        return self._writer.put(item, size + _OVERHEAD, low=low)
 
-    def _lay_tick(self, tick: int, log_ns: int, stamp_ns: int, values: Vector, file: LiveFile) -> None:
+    def _lay(self, item: Item) -> None:
+        """Lay an item into the file, in the writer's thread: here the encoding is done."""
+        topic, tick, log_ns, stamp_ns, body = item
+        if topic == "tick":
+            self._lay_tick(tick, log_ns, stamp_ns, cast(Vector, body))
+            return
+        if isinstance(body, np.ndarray):
+            body = image_message(topic.split("/")[2], cast(NDArray[np.uint8], body), stamp_ns)
+        self._file.add(topic, tick, log_ns, stamp_ns, body if isinstance(body, bytes) else body(stamp_ns))
+
+    def _lay_tick(self, tick: int, log_ns: int, stamp_ns: int, values: Vector) -> None:
         layout = self._layout
         assert layout is not None
         if not self._numbered:
-            layout.number([file.declare(topic) for topic in layout.topics])
+            layout.number([self._file.declare(topic) for topic in layout.topics])
             self._numbered = True
-        file.add_block(layout.block(tick, log_ns, stamp_ns, values), layout.places, log_ns)
+        self._file.add_block(layout.block(tick, log_ns, stamp_ns, values), layout.places, log_ns)
 
     # -- at the end -------------------------------------------------------------------------------------------------
 
@@ -265,30 +274,3 @@ class LiveRecorder:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         """Leave the .part for recover, unless it was closed: whoever did not get to `close` knows no outcome."""
         self.abandon()
-
-
-def _lay(topic: str, sequence: int, log_ns: int, stamp_ns: int, payload: Callable[[int], bytes],
-         file: LiveFile) -> None:
-    file.add(topic, sequence, log_ns, stamp_ns, payload(stamp_ns))
-
-
-def _open_part(path: Path, reserve_bytes: int) -> int:
-    """An empty .part, locked for as long as it is open: the lock tells recover that its writer lives."""
-    if path.suffix != ".mcap":
-        raise RecordingError(f"a recording is named .mcap, not {path.suffix!r}", where=path,
-                             mend=f"write to {path.with_suffix('.mcap').name}")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if path.exists():
-        raise RecordingError("recording is already there", where=path, mend="name another file, or move this one away")
-    leave_reserve(path.parent, 0, reserve_bytes)
-    handle = os.open(part_of(path), os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o644)
-    try:
-        lock(handle, part_of(path))
-        if os.fstat(handle).st_size:
-            fcntl.flock(handle, fcntl.LOCK_UN)
-            raise RecordingError("what a killed recording left has this name", where=part_of(path),
-                                 mend=f"hardcase recover {path.parent}")
-    except BaseException:
-        close_quietly(handle)
-        raise
-    return handle

@@ -54,11 +54,10 @@ class Row:
             self.state, self.environment, self.action, self.joint_action, self.joint_velocity, self.joint_effort,
             self.link_poses.reshape(-1), [*self.reward.values()], self.sim_state, self.controller], dtype=np.float64)
 
-    def shapes(self) -> tuple[object, ...]:
-        """What may not change from tick to tick."""
-        return (len(self.state), len(self.environment), len(self.action), len(self.joint_action),
-                len(self.joint_velocity), len(self.joint_effort), self.links, self.link_poses.size, tuple(self.reward),
-                len(self.sim_state), len(self.controller))
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Links and rewards, which may not change from tick to tick."""
+        return (*self.links, *self.reward)
 
 
 class TickLayout:
@@ -78,6 +77,8 @@ class TickLayout:
             stamps += [payload + at for at in layout.stamps]
             floats += [payload + at + 8 * k for at, count in layout.floats for k in range(count)]
         self.topics = tuple(topic for topic, _, _ in columns)
+        self.names: tuple[str, ...] = ()
+        """Links and rewards of the arm's ticks."""
         self._template = np.frombuffer(bytes(template), np.uint8).copy()
         self._head_bytes = _spread(np.array(self._heads, np.intp) + 11, 20)
         self._stamp_bytes = _spread(np.array(stamps, np.intp), 8)
@@ -85,6 +86,8 @@ class TickLayout:
         self._entries = np.concatenate([np.asarray(entries, np.intp) for _, _, entries in columns])
         if len(self._entries) != len(floats):
             raise ValueError(f"{len(self._entries)} entries for {len(floats)} numbers")
+        self.shape = (int(self._entries.max()) + 1,)
+        """Shape of a tick's vector."""
         self.places: list[tuple[int, int]] = []
 
     def number(self, numbers: Sequence[int]) -> None:
@@ -159,6 +162,7 @@ class RowLayout(TickLayout):
             columns += [_array("/sim/state", "mjSTATE_INTEGRATION", sim),
                         _array("/sim/controller", "controller", memory)]
         super().__init__(columns)
+        self.shape, self.names = (edges[-1],), row.names
 
     def block(self, tick: int, log_ns: int, stamp_ns: int, values: Vector) -> bytes:
         """See TickLayout; the quaternions that viewers want are worked out here, off the control thread."""

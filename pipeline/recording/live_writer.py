@@ -6,7 +6,10 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.recording import cdr
 from pipeline.recording.live_file import CHUNK_BYTES, LiveFile
@@ -23,18 +26,19 @@ _LOW = 0.75
 _WAKE_BYTES = 8 << 20
 """Bytes waiting at which the writer does not wait for the chunk's time [B]."""
 
-type Encode = Callable[[LiveFile], None]
-"""Lays one message, or one tick of them, into the file; runs in the writer's thread."""
+type Body = NDArray[np.generic] | bytes | Callable[[int], bytes]
+"""A tick's vector, a picture, a payload, or what makes a payload of the stamp [ns]."""
 
 
-@dataclass(frozen=True, slots=True)
-class Item:
+class Item(NamedTuple):
     """One call of the control thread, on its way to the file."""
 
     topic: str
-    """Topic that a drop is counted under."""
+    """Topic, or "tick" for all messages of a tick."""
     tick: int
-    encode: Encode
+    log_ns: int
+    stamp_ns: int
+    body: Body
 
 
 class LiveWriter:
@@ -43,14 +47,16 @@ class LiveWriter:
     Args:
         handle: the file, empty, locked; owned by the caller.
         file: makes its bytes.
+        lay: lays an item into the file; runs in the writer's thread.
         clock: log time now [ns].
         queue_bytes: see QUEUE_BYTES.
         chunk_s: see CHUNK_S.
     """
 
-    def __init__(self, handle: int, file: LiveFile, clock: Callable[[], int], *, queue_bytes: int = QUEUE_BYTES,
-                 chunk_s: float = CHUNK_S) -> None:
-        self._handle, self._file, self._clock, self._room, self._chunk_s = handle, file, clock, queue_bytes, chunk_s
+    def __init__(self, handle: int, file: LiveFile, lay: Callable[[Item], None], clock: Callable[[], int], *,
+                 queue_bytes: int = QUEUE_BYTES, chunk_s: float = CHUNK_S) -> None:
+        self._handle, self._file, self._lay, self._clock = handle, file, lay, clock
+        self._room, self._chunk_s = queue_bytes, chunk_s
         self.error: Exception | None = None
         """The first that the disk or an encoder reported; nothing is taken after it."""
         self.dropped: Counter[str] = Counter()
@@ -121,7 +127,7 @@ class LiveWriter:
             self._told, tick = Counter(self.dropped), self._newest
         while items:
             try:
-                items[0].encode(self._file)
+                self._lay(items[0])
             except Exception:
                 with self._lock:
                     self.dropped.update(item.topic for item in items)

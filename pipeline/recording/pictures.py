@@ -26,13 +26,17 @@ def image_message(camera: str, picture: NDArray[np.uint8] | bytes, stamp_ns: int
     return cdr.compressed_image(stamp_ns, camera, "jpeg", picture if isinstance(picture, bytes) else jpeg(picture))
 
 
-def check_picture(picture: NDArray[np.uint8] | bytes, where: object) -> None:
-    """Raise RecordingError where a picture is neither RGB nor a JPEG."""
-    if isinstance(picture, bytes):
-        good, what = picture[:2] == b"\xff\xd8", "bytes that are no JPEG"
-    else:
-        good = picture.dtype == np.uint8 and picture.ndim == 3 and picture.shape[2] == 3 and picture.size > 0
-        what = f"{picture.dtype} of shape {picture.shape}"
-    if not good:
-        raise RecordingError(f"a picture is {what}", where=where,
-                             mend="give RGB as uint8 (height, width, 3), or a JPEG")
+def check_picture(picture: NDArray[np.uint8], where: object) -> None:
+    """Raise RecordingError where an array is no RGB picture."""
+    if picture.ndim != 3 or picture.shape[2] != 3 or not picture.size or picture.dtype != np.uint8:
+        raise _odd(f"{picture.dtype} of shape {picture.shape}", where)
+
+
+def check_jpeg(picture: bytes, where: object) -> None:
+    """Raise RecordingError where bytes are no JPEG."""
+    if picture[:2] != b"\xff\xd8":
+        raise _odd("bytes that are no JPEG", where)
+
+
+def _odd(what: str, where: object) -> RecordingError:
+    return RecordingError(f"a picture is {what}", where=where, mend="give RGB as uint8 (height, width, 3), or a JPEG")
