@@ -1,5 +1,7 @@
 """The training side of a lap, from demonstrations to the release; nothing here knows the twin."""
 
+from collections.abc import Mapping
+
 from flows import facts
 from flows.arm_run import ArmRun, Made, no_rows
 from flows.steps_api import Progress
@@ -8,6 +10,7 @@ from pipeline.lerobot_view.training_data import TrainingData
 from pipeline.shards import write_shard
 from pipeline.simulation.evaluation import evaluate, gate_scenes
 from pipeline.simulation.tasks import load_task
+from schemas.consent import SIMULATED
 from schemas.episode import Episode
 from schemas.scene import SceneSpec
 from stages.augment import augment
@@ -46,12 +49,18 @@ def augmented(run: ArmRun, generation: int, progress: Progress) -> Made:
         shard = run.folder() / f"variants-{run.run}-{generation}.arrow"
         write_shard(shard, kept)
         blob = run.store.put_blob(shard, move=True)
-    consent = {parent.id: parent.consent for parent in parents}
-    episodes = [e.model_copy(update={"blob": blob if e.id in kept else None, "consent": consent[str(e.parent)]})
+    consent = {e.id: e.consent for e in [*parents, *near]}
+    episodes = [e.model_copy(update={"blob": blob if e.id in kept else None, "consent": _consent(e, consent)})
                 for e in made.episodes]
     says = f"{len(kept)} of {len(episodes)} variants kept"
     return Made(tuple(kept), says, {"report": made.report.model_dump(mode="json")},
                 lambda tx: tx.add_episodes(episodes))
+
+
+def _consent(variant: Episode, consent: Mapping[str, str]) -> str:
+    """Whose consent a variant rests on: that of a person at whose start it begins, else its parent's."""
+    near = consent.get((variant.transform or "").rpartition(" ")[2], SIMULATED)
+    return consent[str(variant.parent)] if near == SIMULATED else near
 
 
 def _successes(run: ArmRun, generation: int) -> list[Episode]:
@@ -73,7 +82,8 @@ def built(run: ArmRun, generation: int) -> Made:
     parent = run.material.version(generation - 1) if generation else None
     consents, everything = run.material.consents(), run.material.episodes(generation)
     if "teleop" in run.recipe.dataset.sources:
-        everything += run.material.driven(run.recipe)
+        known = {e.id for e in everything}
+        everything += [e for e in run.material.driven(run.recipe) if e.id not in known]
     standing = consents.standing(everything)
     verdicts = run.material.verdicts(standing)
     sound = verdicts.passing(standing)
