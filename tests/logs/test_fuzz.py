@@ -79,15 +79,18 @@ def judge(found: object, original: dict, mutant) -> str:
         good = isinstance(found, RecordingError) and found.mend and "\n" not in found.what
         return "refused" if good else "BAD ERROR"
     told = [p for p in found["problems"] if p not in original["problems"]]
-    same = {k: v for k, v in found.items() if k != "problems"} == {k: v for k, v in original.items() if k != "problems"}
-    if same:
+    if {**found, "problems": 0} == {**original, "problems": 0}:
         return "same, a problem told" if told else "same"
     if told:
         return "differs, a problem told"
-    if original["problems"] and not mutant.forged:
+    if mutant.forged:
+        reference = by_the_library(mutant.data)
+        return ("forged: as the library reads it" if reference == messages(found) else
+                "forged: the library refuses it" if reference is None else "SILENT DIFFERENCE")
+    unproven = " ".join(what for what, _ in original["problems"])
+    moved = messages(found) != messages(original)
+    if ("messages or attachments without" if moved else "metadata or channels without") in unproven:
         return "differs, no CRC in the file (told)"
-    if mutant.forged and by_the_library(mutant.data) in (messages(found), None):
-        return "forged, as the library reads it"
     return "SILENT DIFFERENCE"
 
 
