@@ -1,18 +1,25 @@
 """What `hardcase teleop` names on its command line, opened: robots, input devices, policies, starts."""
 
-from collections.abc import Callable, Mapping, Sequence
+import sys
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from pipeline.errors import ConfigError, StoreError
+import numpy as np
+
+from pipeline.errors import ConfigError, SimulationError, StoreError
 from pipeline.protocols import LiveRobot, Observation, Policy, Teleoperator
+from pipeline.recording.live import LiveRecorder
 from pipeline.robots.limits import Limits
 from pipeline.robots.mapping import Driver
 from pipeline.store import Store
 from schemas.scene import SceneSpec
+from stages.teleop import Film, no_film
 
 if TYPE_CHECKING:
     from pipeline.robots.lerobot_robot import Link
+    from pipeline.simulation.world import World
 
 ROBOTS, DEVICES = ("arm", "twin:SEED", "lerobot:NAME"), ("keyboard", "gamepad", "lerobot:NAME")
 
@@ -50,6 +57,8 @@ class Driven:
     driver: Driver
     limits: Limits
     scene_of: Callable[[int, Observation], SceneSpec]
+    film: Film = no_film
+    """Films an attempt with cameras that are no part of the robot."""
 
 
 def open_robot(order: TeleopOrder, session: int) -> Driven:
@@ -91,9 +100,40 @@ def _simulated(order: TeleopOrder, twin: int | None, session: int) -> Driven:
         world = World(compose(load_body("arm"), "table"), [scene_of(0)], from_draws([()]), threads=1)
     else:
         world = twin_world(draw_twin(twin), [scene_of(0)], threads=1)
-    robot = SimulatedRobot(world, order.robot.replace(":", "-"), judged=twin is None, speed=order.speed,
-                           cameras=order.cameras, size=order.size)
-    return Driven(robot, ArmDriver(robot.control_hz, robot.pose_of, speed=order.hand_speed), ARM_LIMITS, scene_of)
+    robot = SimulatedRobot(world, order.robot.replace(":", "-"), judged=twin is None, speed=order.speed)
+    driver = ArmDriver(robot.control_hz, robot.pose_of, speed=order.hand_speed)
+    return Driven(robot, driver, ARM_LIMITS, scene_of, _scene_cameras(world, order))
+
+
+def _scene_cameras(world: "World", order: TeleopOrder) -> Film:
+    """Renders the cameras of an order beside each attempt; where nothing renders, the attempt goes on without."""
+    from pipeline.recording.filming import Filming
+    from pipeline.simulation.live_cameras import SceneCameras
+
+    one = np.arange(1)
+
+    def cameras() -> SceneCameras:
+        width, height = order.size
+        return SceneCameras(world.batch.get_model(0), order.cameras, width=width, height=height)
+
+    cameras()  # an unknown name is refused now, not at the first attempt
+
+    @contextmanager
+    def film(recorder: LiveRecorder) -> Generator[Callable[[int, int], None]]:
+        if not order.cameras:
+            yield lambda tick, stamp_ns: None
+            return
+        scene = cameras()
+        try:
+            filming = Filming(recorder, scene)
+        except SimulationError as error:
+            print(f"no pictures: {error.what}; recording goes on without ({error.mend})", file=sys.stderr)
+            yield lambda tick, stamp_ns: None
+            return
+        with filming:
+            yield lambda tick, stamp_ns: scene.show(world.save(one)[0][0], tick, stamp_ns)
+
+    return film
 
 
 def _lerobot(order: TeleopOrder, name: str, session: int) -> Driven:

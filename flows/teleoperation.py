@@ -98,7 +98,7 @@ def _drive(order: TeleopOrder, store: Store, lease: Lease, number: int, consent:
         tx.add_run(_info(order, number))
     adopt(store, lease)
     line = StatusLine(driven.robot.signals, order.episodes, driven.robot.control_hz)
-    controls = Controls(device, driven.driver, driven.limits, policy, name, id)
+    controls = Controls(device, driven.driver, driven.limits, policy, name, id, driven.film)
     said = record_strings(consent) if consent else {}
     session = Session(
         operator=order.operator, consent=order.consent or NO_CONSENT, folder=store.root / FOLDER,

@@ -1,8 +1,8 @@
 """Teleop: a person drives a robot, or takes over from a policy and gives it back; every attempt is recorded whole."""
 
 import json
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -14,18 +14,27 @@ from pipeline.protocols import Array, Call, Command, LiveRobot, Observation, Pol
 from pipeline.recording.live import Closed, LiveRecorder
 from pipeline.recording.live_header import beginning
 from pipeline.recording.live_rows import Row
-from pipeline.robots.limits import Guard, Limits
-from pipeline.robots.mapping import Driver, JointDriver
+from pipeline.robots.hand import Hand
+from pipeline.robots.limits import Limits
+from pipeline.robots.mapping import Driver
 from pipeline.simulation.recordings import episode_id
 from schemas.episode import Outcome
 from schemas.scene import SceneSpec
 
 type SceneOf = Callable[[int, Observation], SceneSpec]
 """(attempt from 0, what the robot perceives before it) -> its start: made up in simulation, perceived elsewhere."""
+type Film = Callable[[LiveRecorder], AbstractContextManager[Callable[[int, int], None]]]
+"""Films into a recording while it is open; what it gives is called with (tick, time [ns]) when the robot perceived."""
 type Who = Literal["operator", "policy", "reset"]
 
 _ONE = np.arange(1)
 _ENDS: tuple[Call, ...] = ("success", "failure", "unknown", "quit")
+
+
+@contextmanager
+def no_film(recorder: LiveRecorder) -> Generator[Callable[[int, int], None]]:
+    """No camera beside the robot's own."""
+    yield lambda tick, stamp_ns: None
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +94,8 @@ class Controls:
     """Id of the policy, or 'expert'; the actor of the autonomous segments."""
     policy_id: str | None = None
     """Id of the policy in the store; None for the expert."""
+    film: Film = no_film
+    """Films an attempt with cameras that are no part of the robot."""
 
 
 def teleop(robot: LiveRobot, controls: Controls, scene_of: SceneOf, session: Session) -> Iterator[Closed]:
@@ -116,32 +127,11 @@ def teleop(robot: LiveRobot, controls: Controls, scene_of: SceneOf, session: Ses
             return
 
 
-class _Hand:
-    """Commands the robot through its guard."""
-
-    def __init__(self, robot: LiveRobot, controls: Controls) -> None:
-        self._robot, self._controls = robot, controls
-        self._guard: Guard | None = None
-        self.note = ""
-
-    def act(self, action: Array, observation: Observation) -> None:
-        """Send what may be sent of an action."""
-        driver = self._controls.driver
-        hold = driver.hold(observation)
-        if self._guard is None:
-            self._guard = Guard(self._robot.name, self._robot.signals, self._controls.limits, hold)
-        checked = self._guard.check(action, hold)
-        self.note = checked.note
-        self._robot.act(checked.action[None], _ONE)
-        if isinstance(driver, JointDriver):
-            driver.sent(checked.action)
-
-
 def _reset(robot: LiveRobot, controls: Controls, session: Session, number: int) -> bool:
     """Let the person put everything back, until they say 'next'; False where they quit."""
     if not session.ask:
         return not session.stop()
-    hand, ticks = _Hand(robot, controls), 0
+    hand, ticks = Hand(robot, controls.driver, controls.limits), 0
     while not session.stop():
         observation, command = robot.observe(_ONE), controls.device.read()
         if "quit" in command.calls:
@@ -159,7 +149,7 @@ class _Attempt:
 
     def __init__(self, robot: LiveRobot, controls: Controls, scene: SceneSpec, session: Session, number: int) -> None:
         self._robot, self._controls, self._session, self._number = robot, controls, session, number
-        self._hand = _Hand(robot, controls)
+        self._hand = Hand(robot, controls.driver, controls.limits)
         self._who: Who = "operator" if controls.policy is None else "policy"
         self._phase, self._switch = "", False
         self.last = False
@@ -185,9 +175,10 @@ class _Attempt:
         outcome, failure, tick = None, None, 0
         with self._recorder as recorder:
             try:
-                while outcome is None:
-                    outcome = self._tick(tick)
-                    tick += 1
+                with self._controls.film(recorder) as take:
+                    while outcome is None:
+                        outcome = self._tick(tick, take)
+                        tick += 1
             except RobotError as error:
                 failure = error
                 outcome = Outcome(label="unknown", judged_by="operator", reason=f"cut off: {error.what}")
@@ -197,14 +188,16 @@ class _Attempt:
                 return None, failure
             return recorder.close(outcome), failure
 
-    def _tick(self, tick: int) -> Outcome | None:
+    def _tick(self, tick: int, take: Callable[[int, int], None]) -> Outcome | None:
         robot, recorder = self._robot, self._recorder
+        stamp_ns = recorder.now()
         observation, command = robot.observe(_ONE), self._controls.device.read()
+        take(tick, stamp_ns)
         self._switch_over(command, tick)
         action = self._action(command, observation)
-        recorder.joy(list(command.raw_axes), list(command.raw_buttons), tick=tick)
+        recorder.joy(list(command.raw_axes), list(command.raw_buttons), tick=tick, stamp_ns=stamp_ns)
         for camera, picture in robot.pictures().items():
-            recorder.image(camera, picture, tick=tick)
+            recorder.image(camera, picture, tick=tick, stamp_ns=stamp_ns)
         if (phase := robot.phase()) != self._phase:
             recorder.phase(phase, tick=tick)
             self._phase = phase
@@ -212,7 +205,7 @@ class _Attempt:
         self._hand.act(action, observation)
         if self._hand.note and self._hand.note != noted:
             recorder.event("limit", self._hand.note, level=30, tick=tick)
-        recorder.tick(tick, self._row())
+        recorder.tick(tick, self._row(), stamp_ns=stamp_ns)
         self._session.show(Status(self._number, (tick + 1) / robot.control_hz, self._who, observation, self._hand.note))
         return self._ended(command, tick)
 

@@ -35,6 +35,10 @@ class Driver(Protocol):
         """The action that keeps the robot where it is, shape (k,)."""
         ...
 
+    def sent(self, action: Array) -> None:
+        """Take note of what was really sent, shape (k,)."""
+        ...
+
 
 class ArmDriver:
     """The arm: axes move the tool; joint targets move it to the pose that they mean, tool down.
@@ -66,6 +70,9 @@ class ArmDriver:
         """See Driver."""
         return np.array([0.0, 0.0, 0.0, 0.0, observation.state[0, _CMD_GRIPPER]])
 
+    def sent(self, action: Array) -> None:
+        """Nothing to note: the arm's state says what was commanded."""
+
 
 class JointDriver:
     """Any other robot: targets go through by name; axes jog the joints one by one, in the robot's order.
@@ -93,7 +100,7 @@ class JointDriver:
         return last + shares * self._jog
 
     def sent(self, action: Array) -> None:
-        """Go on from what was really sent."""
+        """See Driver: jogging goes on from there."""
         self._targets = np.where(self._rate, 0.0, action)
 
     def hold(self, observation: Observation) -> Array:

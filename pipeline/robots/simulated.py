@@ -15,7 +15,6 @@ from pipeline.recording.live_rows import Row, TickLayout
 from pipeline.robots.judging import Judge
 from pipeline.robots.limits import Limits
 from pipeline.robots.pace import Pace
-from pipeline.simulation.rendering import FilmCamera
 from pipeline.simulation.tracing import Tracer
 from pipeline.simulation.urdf import robot_urdf
 from pipeline.simulation.world import LIMITS, OPEN_M, World
@@ -39,36 +38,23 @@ class SimulatedRobot:
         name: what it is called: arm, or twin-SEED.
         judged: by the simulator's truth, or by what the robot perceives, as a twin is.
         speed: simulated seconds a wall second; 0 does not wait.
-        cameras: the scene's cameras to render at every tick.
-        size: width and height of their pictures [px].
-
-    Raises:
-        SimulationError: the scene has no camera of that name, or nothing can render here.
     """
 
     signals = ARM
 
-    def __init__(self, world: World, name: str, *, judged: bool, speed: float = 1.0, cameras: tuple[str, ...] = (),
-                 size: tuple[int, int] = (320, 240)) -> None:
+    def __init__(self, world: World, name: str, *, judged: bool, speed: float = 1.0) -> None:
         if world.n != 1:
             raise ConfigError(f"a world of {world.n} attempts", where=f"robot {name}", mend="give a world of one")
         self.world, self.name, self.control_hz = world, name, world.control_hz
         self.judge: Literal["simulator", "sensors"] = "simulator" if judged else "sensors"
         self._judge, self._pace, self._tracer = Judge(world.task), Pace(world.control_hz, speed=speed), Tracer(world)
-        self._cameras, self._size, self._films = cameras, size, dict[str, FilmCamera]()
-        self._seen, self._views = world.observe(_ONE), dict[str, NDArray[np.uint8]]()
+        self._seen = world.observe(_ONE)
 
     def connect(self) -> None:
-        """Open the cameras, each with a model of its own GL context."""
-        width, height = self._size
-        for name in self._cameras:
-            self._films[name] = FilmCamera(self.world.setup.model, camera=name, width=width, height=height)
+        """Nothing to connect."""
 
     def disconnect(self) -> None:
-        """Close the cameras."""
-        for film in self._films.values():
-            film.close()
-        self._films.clear()
+        """Nothing to let go."""
 
     def begin(self, scene: SceneSpec) -> None:
         """Put robot and object at the scene's start."""
@@ -78,14 +64,11 @@ class SimulatedRobot:
         self._pace.restart()
 
     def observe(self, ids: Ids) -> Observation:
-        """What the robot perceives now, its cameras included."""
+        """What the robot perceives now."""
         if self.world.command.ticks[0] >= self.world.task.ticks:
             self.world.restart_clock(_ONE)
         self._seen = self.world.observe(ids)
         self._judge.see(self._seen)
-        if self._films:
-            state, _ = self.world.save(_ONE)
-            self._views = {name: film.frames(state)[0] for name, film in self._films.items()}
         return self._seen
 
     def act(self, action: Array, ids: Ids) -> None:
@@ -114,8 +97,8 @@ class SimulatedRobot:
         return None
 
     def pictures(self) -> dict[str, NDArray[np.uint8]]:
-        """What the cameras saw at the last observation."""
-        return self._views
+        """None: a scene's cameras are rendered beside, see pipeline.simulation.live_cameras."""
+        return {}
 
     def attachments(self) -> dict[str, bytes]:
         """Scene and URDF."""

@@ -196,3 +196,11 @@ def simulated():
         return driven.robot, driven.scene_of
 
     return make
+
+
+@pytest.fixture(scope="module")
+def plugins_everywhere():
+    """The plugins for as long as a module's own fixtures live."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(PLUGINS))
+        yield PLUGINS

@@ -218,3 +218,19 @@ def test_a_leader_of_other_joints_is_refused_before_anything_moves(order, hand, 
         "teleoperator 'lerobot:virtual_leader' does not fit robot 'lerobot:virtual_six': missing: shoulder_pan, "
         "shoulder_lift, elbow_flex, wrist_flex, wrist_roll; not of the robot: joint1")
     assert store.episodes() == []
+
+
+def test_cameras_of_the_scene_are_recorded_beside_the_robot(order, hand, store, capsys):
+    pad = order("virtual_six", "virtual_pad", hand([{"delta_x": 1.0}] * 30 + [{"success": 1}]))
+    asked = TeleopOrder(teleop=pad.teleop, teleop_keys=pad.teleop_keys, cameras=("front", "top"), size=(64, 48))
+    assert not run_teleop(asked, store.root)
+    (episode,) = store.episodes()
+    path = store.blob(episode.blob)
+    if "no pictures" in capsys.readouterr().err:
+        assert episode.frames == 31, "where nothing renders, all that needs no picture goes on"
+        pytest.skip("nothing can render here")
+    for camera in ("front", "top"):
+        pictures = said(path, f"/camera/{camera}/image/compressed")
+        assert len(pictures) > 5 and bytes(pictures[0].data[:2]) == b"\xff\xd8"
+        assert pictures[0].header.frame_id == camera
+    assert read_episode(path)[0] == episode

@@ -159,7 +159,7 @@ def test_without_a_terminal_the_keyboard_says_so_in_three_lines(store, tmp_path)
     ({"consent": "form-9"}, "consent form-9 is not in the store", "hardcase consent add"),
     ({"consent": "form-7"}, "consent form-7 is of operator 'p7'", "--operator p7"),
     ({"policy": "champion"}, "no loop of this store has released a policy", "hardcase loop"),
-    ({"cameras": ("nose",)}, "the model has no camera 'nose'", "front, top"),
+    ({"cameras": ("nose",)}, "unknown camera 'nose'", "front, top"),
     ({"stratum": "odd"}, "unknown stratum 'odd'", "beside, common, large"),
     ({"task": "juggle"}, "unknown task 'juggle'", "pick-place"),
     ({"robot": "lerobot:virtual_six", "robot_keys": {"port": "x"}, "cameras": ("top",)},

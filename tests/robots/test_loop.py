@@ -1,0 +1,109 @@
+"""What people drove flows into the loop, and only with their consent; what the loop releases can be taken over from."""
+
+import json
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+
+from flows.by_hand import run_stage
+from flows.teleop_devices import TeleopOrder
+from flows.teleoperation import run_teleop
+from pipeline.consent import Consents
+from pipeline.errors import ConsentError
+from pipeline.lerobot_view.training_data import TrainingData
+from pipeline.recording import read_episode, read_frames
+from pipeline.simulation.world import CONTROLLER_WIDTH
+from pipeline.store import Store
+from schemas.consent import Consent
+
+RECIPE = """
+name: taught
+collect: {demonstrations: 4}
+augment: {replays: 2, retargets: 2}
+dataset: {sources: [scripted, teleop], held_out: 0.0}
+train: {steps: 20, batch: 32, checkpoint_every: 20, chunk: 4, width: 32}
+gate: {looks: [4], bootstrap_success: 0.0}
+"""
+pytestmark = pytest.mark.filterwarnings("ignore")
+
+
+@pytest.fixture(scope="module")
+def pad(tmp_path_factory):
+    """Keys of the virtual pad, moved by rows."""
+    folder = tmp_path_factory.mktemp("pad")
+
+    def keys(rows) -> dict[str, str]:
+        (folder / "hand.json").write_text(json.dumps(rows))
+        return {"hand": str(folder / "hand.json"), "calibration_dir": str(folder)}
+
+    return keys
+
+
+@pytest.fixture(scope="module")
+def taught(tmp_path_factory, plugins_everywhere, pad):
+    """A store with attempts of three people, and a loop of generation 0 that learns from them."""
+    root = tmp_path_factory.mktemp("taught") / "store"
+    with Store.open(root, create=True) as store, pytest.MonkeyPatch.context() as patch:
+        for id, operator, expires in (("form-1", "p1", "2099-01-01"), ("form-2", "p2", "2026-01-02")):
+            store.add_consent(Consent(id=id, operator=operator, site="lab", purposes=("training",), given="2026-01-01",
+                                      expires=expires))
+        for operator, consent in (("p1", "form-1"), ("p2", "form-2"), ("p3", None)):
+            rows = [{"delta_x": 1.0}] * 9 + [{"success": 1}]
+            order = TeleopOrder(teleop="lerobot:virtual_pad", teleop_keys=pad(rows), speed=0.0, operator=operator,
+                                consent=consent)
+            run_teleop(order, root)
+        only_watched = TeleopOrder(teleop="lerobot:virtual_pad", teleop_keys=pad([{}]), speed=0.0, operator="p1",
+                                   consent="form-1", policy="expert")
+        run_teleop(only_watched, root)
+        recipe = root.parent / "taught.yaml"
+        recipe.write_text(RECIPE)
+        patch.setenv("HARDCASE_STORE", str(root))
+        run_stage("collect", recipe=str(recipe))
+        for stage in ("augment", "build", "train", "gate", "release"):
+            run_stage(stage)
+        yield store
+
+
+def test_a_version_holds_what_was_consented_to_and_nothing_else_that_people_drove(taught):
+    (version,) = taught.versions()
+    driven = taught.episodes(origin="teleop")
+    assert [(e.segments[0].actor, e.outcome.label) for e in driven] == [
+        ("p1", "success"), ("p2", "success"), ("p3", "success"), ("expert", "success")]
+    held = [e.segments[0].actor for e in taught.episodes(version.episodes) if e.origin == "teleop"]
+    assert held == ["p1"], "p2's consent ran out, p3 gave none, and what nobody drove teaches nothing"
+    data = TrainingData.load(taught.path(version.path), Consents(taught.consents(), datetime.now(UTC)))
+    frames = read_frames(taught.blob(driven[0].blob))[1]
+    assert any(np.array_equal(data.action[k:k + 9], frames.action[:9]) for k in range(len(data.action) - 8))
+    with pytest.raises(ConsentError, match="no valid consent record"):
+        late = datetime(2100, 1, 1, tzinfo=UTC)
+        TrainingData.load(taught.path(version.path), Consents(taught.consents(), late))
+
+
+def test_a_recording_says_in_itself_what_its_person_agreed_to(taught):
+    from mcap.reader import make_reader
+
+    told = []
+    for episode in taught.episodes(origin="teleop")[:3]:
+        with taught.blob(episode.blob).open("rb") as stream:
+            strings = next(m.metadata for m in make_reader(stream).iter_metadata() if m.name == "episode")
+        told.append(tuple(strings[key] for key in ("operator", "consent", "site", "purpose", "expires")))
+    assert told == [("p1", "form-1", "lab", "training", "2099-01-01"),
+                    ("p2", "form-2", "lab", "training", "2026-01-02"), ("p3", "none", "unknown", "unknown", "unknown")]
+
+
+def test_a_person_takes_over_from_the_released_policy(taught, pad, plugins_everywhere):
+    (policy,) = taught.policies()
+    rows = [{}] * 8 + [{"delta_z": 1.0, "is_intervention": 1}] * 6 + [{}] * 8 + [{"terminate_episode": 1}]
+    order = TeleopOrder(robot="twin:3", teleop="lerobot:virtual_pad", teleop_keys=pad(rows), speed=0.0, operator="p1",
+                        consent="form-1", policy="champion")
+    run_teleop(order, taught.root)
+    episode = taught.episodes(policy=policy.id)[-1]
+    assert [(s.kind, s.actor, s.start, s.stop) for s in episode.segments] == [
+        ("autonomous", policy.id, 0, 8), ("intervention", "p1", 8, 14), ("autonomous", policy.id, 14, 23)]
+    assert (episode.outcome.label, episode.outcome.judged_by, episode.scene.twin) == ("failure", "operator", 3)
+    read, trace = read_episode(taught.blob(episode.blob))
+    assert read == episode and trace.controller.shape[1] > CONTROLLER_WIDTH, "what the policy remembers is kept"
+    assert trace.action[8:14, 2] == pytest.approx(0.006)
+    planned = np.abs(trace.controller[[13, 14], CONTROLLER_WIDTH:]).sum(axis=1)
+    assert planned[0] > 0 and not np.array_equal(*trace.controller[[13, 14], CONTROLLER_WIDTH:]), "it plans anew"
