@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.check.contract import load_contract, to_yaml
+from pipeline.check.contract import load_contract
+from pipeline.check.initial import to_yaml
 from pipeline.errors import ConfigError, StoreError
 from pipeline.files import atomic
 from pipeline.store import Store, store_root
@@ -70,12 +71,13 @@ def _item(name: str) -> Item:
         if table == "version":
             return Item(store.path(store.version(id).path), id, trusted=True)
         if table != "episode":
-            raise StoreError(f"{table.replace('_', ' ')} {id} is no recording and no dataset", where=f"hardcase check {name}",
-                             mend="name an episode or a dataset version")
+            raise StoreError(f"{table.replace('_', ' ')} {id} is no recording and no dataset",
+                             where=f"hardcase check {name}", mend="name an episode or a dataset version")
         episode = store.episode(id)
         if episode.blob is None or episode.origin in VARIANTS:
-            raise StoreError(f"episode {id} is a variant and has no recording of its own", where=f"hardcase check {name}",
-                             mend=f"check the demonstration it was made from ({episode.parent}), or its dataset version")
+            raise StoreError(f"episode {id} is a variant and has no recording of its own",
+                             where=f"hardcase check {name}",
+                             mend=f"check what it was made from ({episode.parent}), or its dataset version")
         return Item(store.blob(episode.blob), id, trusted=True)
 
 
@@ -139,4 +141,5 @@ def _table(findings: Sequence[Finding]) -> list[str]:
         elif shown[finding.check] == count[finding.check]:
             rows.append(("", finding.check, f"and {count[finding.check] - SHOWN} more", "--json OUT lists them"))
     widths = [max((len(row[k]) for row in rows), default=0) for k in range(3)]
-    return ["  " + "  ".join([*(cell.ljust(w) for cell, w in zip(row[:3], widths, strict=True)), row[3]]) for row in rows]
+    cells = ((*(c.ljust(w) for c, w in zip(row[:3], widths, strict=True)), row[3]) for row in rows)
+    return ["  " + "  ".join(line) for line in cells]

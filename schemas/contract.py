@@ -103,7 +103,7 @@ class Thresholds(Frozen):
                               "friction and backlash hold back")
     frozen_m: float = Field(default=0.02, gt=0, description="command's motion meanwhile [m]")
     lag_low_s: float = Field(default=0.0, description="measured never moves before its command [s]")
-    lag_high_s: float = Field(default=0.4, description="clean robots lag 0.05 to 0.3 s; 8 frames more are 0.45 s and up")
+    lag_high_s: float = Field(default=0.4, description="clean robots lag 0.05 to 0.3 s, 8 frames more are 0.45 s")
     lag_correlation: float = Field(default=0.5, gt=0, le=1, description="correlation below which no lag is told; clean "
                                    "episodes reach 0.71 and more")
     spike_rad: float = Field(default=0.1, gt=0, description="out and back within one sample [rad]; clean: 0.024")
@@ -116,16 +116,16 @@ class Thresholds(Frozen):
     flat_grey: float = Field(default=4.0, gt=0, description="standard deviation of a picture that shows nothing")
     swap_margin: float = Field(default=0.1, gt=0, description="by how much a camera must look more like the other one "
                                "than like itself, in correlation")
-    video_shift_s: float = Field(default=0.2, gt=0, description="video against joints [s]; clean: 0.04 at most, cameras "
-                                 "that stamp late 0.1")
+    video_shift_s: float = Field(default=0.2, gt=0, description="video against joints [s]; clean: 0.04 at most, "
+                                 "cameras that stamp late 0.1")
     video_gain: float = Field(default=0.03, gt=0, description="how much better the shifted video must fit, in "
                               "correlation: in an attempt that mostly stands still every shift fits")
-    frames_share: float = Field(default=0.02, ge=0, description="share of pictures that may be missing against the rows")
-    twin_rms: float = Field(default=0.0005, ge=0, description="root mean square distance of two recordings of one motion, "
-                            "in ranges of the signal: a copy through another format; replays with other physics differ "
-                            "by 0.0013 and more")
-    twin_rows: float = Field(default=0.5, gt=0, le=1, description="share of rows that two episodes may have in common to "
-                             "the bit: real sensors repeat none")
+    frames_share: float = Field(default=0.02, ge=0, description="share of pictures that may be missing")
+    twin_rms: float = Field(default=0.0005, ge=0, description="root mean square distance of two recordings of one "
+                            "motion, in ranges of the signal: a copy through another format; replays in other physics "
+                            "differ by 0.0013 and more")
+    twin_rows: float = Field(default=0.5, gt=0, le=1, description="share of rows that two episodes may have in common "
+                             "to the bit: real sensors repeat none")
     success_slack_m: float = Field(default=0.015, ge=0, description="perception noise and bias of the task's distances "
                                    "[m]: three standard deviations")
     statistics: float = Field(default=1e-3, gt=0, description="statistics against rows, in standard deviations")
@@ -135,7 +135,7 @@ class Contract(Frozen):
     """What is expected of one robot's data. Everything may be left out: then only what speaks for itself is checked."""
 
     name: Name = "default"
-    topics: dict[str, TopicRule] = {}
+    topics: dict[str, TopicRule] = Field(default={}, description="topic, or feature of a dataset -> rule")
     limits: dict[str, dict[str, Limit]] = Field(default={}, description="TOPIC.FIELD or feature -> column -> limits")
     motion: tuple[Pair, ...] = ()
     cameras: dict[str, CameraRule] = Field(default={}, description="camera's topic or feature -> rule")

@@ -5,9 +5,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pipeline.check.contract import completed, from_log
+from pipeline.check.contract import completed
 from pipeline.check.folder import is_dataset, read_folder
 from pipeline.check.identity import Motion, duplicate, motion_of, same_motion
+from pipeline.check.initial import from_log
 from pipeline.check.load import read_recording
 from pipeline.check.run import check as run_checks
 from pipeline.check.signals import Signals, Subject

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.check.motion import followed, unit_of
+from pipeline.check.motion import unit_of
 from pipeline.check.signals import Rows, Signals
 from schemas.contract import Contract
 from schemas.finding import Finding
@@ -23,11 +23,13 @@ def black_camera(signals: Signals, contract: Contract) -> Iterator[Finding]:
         if blank.any():
             k = int(np.argmax(blank))
             yield Finding(check="black-camera", what=f"{int(blank.sum())} of {len(flat)} pictures show nothing",
-                          where=name, at_s=signals.at_s(int(camera.stamps_ns[k])), frame=k, value=float(flat[k].mean()),
-                          limit=limits.black_grey, mend="look at the camera's cable, lid and exposure; drop the episode")
+                          where=name, at_s=signals.at_s(int(camera.stamps_ns[k])), frame=k,
+                          value=float(flat[k].mean()), limit=limits.black_grey,
+                          mend="look at the camera's cable, lid and exposure; drop the episode")
         if camera.broken:
-            yield Finding(check="black-camera", what=f"{camera.broken} of {len(flat)} pictures do not decode", where=name,
-                          value=float(camera.broken), limit=0.0, mend="record JPEG or PNG; look at the driver")
+            yield Finding(check="black-camera", what=f"{camera.broken} of {len(flat)} pictures do not decode",
+                          where=name, value=float(camera.broken), limit=0.0,
+                          mend="record JPEG or PNG; look at the driver")
 
 
 def frozen_camera(signals: Signals, contract: Contract) -> Iterator[Finding]:

@@ -1,21 +1,18 @@
-"""Contracts: read from YAML, completed by what the data says of itself, or written from a good log."""
+"""Contracts: read from YAML, completed by what the data says of itself."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
-import yaml
 
-from pipeline.check.swapped import fingerprint
 from pipeline.check.motion import unit_of
-from pipeline.check.signals import Column, Signals, Subject
+from pipeline.check.signals import Signals, Subject
 from pipeline.documents import load_document
 from pipeline.frames import ENVIRONMENT, FEATURES, STATE
 from pipeline.recording.dialect import FRAME_TOPICS, topic_type
 from pipeline.simulation.tasks import TASKS
-from schemas.contract import CameraRule, Contract, Evaluation, Limit, Pair, Success, TopicRule
+from schemas.contract import Contract, Evaluation, Limit, Pair, Success, TopicRule
 
 EXAMPLE = "see docs/check.md, or write one from a good log: hardcase check LOG --init"
 STEPS = {"ee_x": "dx", "ee_y": "dy", "ee_z": "dz", "ee_yaw": "dyaw"}
@@ -76,7 +73,7 @@ def _dialect(hz: float, signals: Signals) -> dict[str, TopicRule]:
 
 
 def _limits(signals: Signals) -> dict[str, dict[str, Limit]]:
-    """Joint limits out of an attached URDF, for the columns that are named as its joints; units where they are known."""
+    """Joint limits out of an attached URDF, for the columns that are named as its joints; units where known."""
     joints = urdf_limits(signals.attachments.get("robot.urdf", b""))
     found: dict[str, dict[str, Limit]] = {}
     for reference, _, column in signals.numbers():
@@ -94,21 +91,22 @@ def urdf_limits(urdf: bytes) -> dict[str, Limit]:
     if not urdf or len(urdf) > MAX_URDF or b"<!DOCTYPE" in urdf or b"<!ENTITY" in urdf:
         return {}
     try:
-        root = ET.fromstring(urdf)  # noqa: S314  without a document type there is nothing to expand
+        root = ET.fromstring(urdf)  # without a document type there is nothing to expand
     except (ET.ParseError, ValueError):
         return {}
     found: dict[str, Limit] = {}
     for joint in root.iter("joint"):
         kind, name, limit = joint.get("type"), joint.get("name"), joint.find("limit")
         if name and kind in ("revolute", "prismatic") and limit is not None:
-            low, high, speed = (_number(limit.get(k)) for k in ("lower", "upper", "velocity"))
+            low, high, speed = (number(limit.get(k)) for k in ("lower", "upper", "velocity"))
             if low is not None and high is not None and low < high:
                 found[name] = Limit(low=low, high=high, unit="rad" if kind == "revolute" else "m",
                                     speed=speed if speed is not None and 0 < speed < URDF_SPEEDLESS else None)
     return found
 
 
-def _number(text: str | None) -> float | None:
+def number(text: str | None) -> float | None:
+    """A finite number out of a text; None where it is none."""
     try:
         value = float(text or "")
     except ValueError:
@@ -137,80 +135,3 @@ def _evaluation(subject: Subject) -> Evaluation | None:
     features = {name: FEATURES[name] for name in ("observation.state", "observation.environment_state", "action")}
     return Evaluation(robot=recipe.get("robot"), task=recipe.get("task"), control_hz=20.0, features=features,
                       action_low=(*(-x for x in reach), 0.0), action_high=(*reach, 0.08))
-
-
-def from_log(subject: Subject, *, name: str = "default") -> Contract:
-    """A contract that a good log keeps, with room for what the next good log does otherwise.
-
-    Rates are those seen, gaps and jitter twice what was seen, limits what was seen and a tenth of its range,
-    speeds half as much again; cameras get their fingerprint. Offsets between clocks are not taken over.
-    """
-    own = completed(Contract(name=name), subject)
-    topics: dict[str, TopicRule] = {}
-    cameras: dict[str, CameraRule] = {}
-    limits: dict[str, dict[str, Limit]] = {}
-    for signals in subject.recordings:
-        for topic in signals.topics.values():
-            topics.setdefault(topic.name, _rule(signals, topic.name))
-        for camera in signals.cameras.values():
-            if len(camera.thumbs):
-                cameras.setdefault(camera.name, CameraRule(width=camera.size[0] or None, height=camera.size[1] or None,
-                                                           fingerprint=fingerprint(camera)))
-    for pair in own.motion:
-        for reference in (pair.measured, pair.commanded) if pair.kind == "target" else ():
-            seen = [(s, f[0].seconds, f[2]) for s in subject.recordings if (f := s.find(reference)) is not None]
-            if seen:
-                limits[reference] = _seen(reference, [(t, c) for _, t, c in seen], own.limits.get(reference, {}))
-    evaluation = own.evaluation or _same_as(subject)
-    return own.model_copy(update={"topics": topics, "cameras": cameras, "limits": limits, "evaluation": evaluation})
-
-
-def _rule(signals: Signals, name: str) -> TopicRule:
-    topic = signals.topics[name]
-    if not topic.steady or topic.tabled:
-        return TopicRule(type=topic.type or None, required=topic.tabled or name in FRAME_TOPICS)
-    steps = np.diff(topic.log_ns) / 1e9
-    off = float(np.quantile(np.abs(steps - topic.period_s), 0.95))
-    span = (int(topic.log_ns[-1]) - int(topic.log_ns[0])) / 1e9
-    return TopicRule(type=topic.type or None, rate_hz=_tidy((len(topic) - 1) / span),
-                     max_gap_s=_tidy(max(2 * float(steps.max()), 3 * topic.period_s)),
-                     jitter_s=_tidy(max(2 * off, topic.period_s / 4)),
-                     required=not name.startswith(("/policy/", "/reward/")))
-
-
-def _seen(reference: str, seen: list[tuple[np.ndarray, Column]], known: Mapping[str, Limit]) -> dict[str, Limit]:
-    names = seen[0][1].names
-    found: dict[str, Limit] = {}
-    for k, column in enumerate(names):
-        values = [c.rows[:, k] for _, c in seen if c.names == names]
-        low, high = min(float(np.nanmin(v)) for v in values), max(float(np.nanmax(v)) for v in values)
-        room = max(0.1 * (high - low), 1e-3)
-        steps = [np.abs(np.diff(c.rows[:, k])) / np.maximum(np.diff(t), 1e-9) for t, c in seen if c.names == names]
-        speed = max((float(np.nanmax(s)) for s in steps if s.size), default=0.0)
-        given = known.get(column, Limit())
-        found[column] = Limit(
-            low=_tidy(low - room) if given.low is None else given.low,
-            high=_tidy(high + room) if given.high is None else given.high,
-            speed=given.speed or (_tidy(1.5 * speed) if speed > 0 else None),
-            unit=given.unit or unit_of(column, Contract(), reference))
-    return found
-
-
-def _same_as(subject: Subject) -> Evaluation | None:
-    """Robot, task and rate as the log names them."""
-    record = subject.recordings[0].metadata.get("episode", {}) if subject.recordings else {}
-    hz = _number(record.get("control_hz"))
-    if not record.get("robot"):
-        return None
-    return Evaluation(robot=record["robot"], task=record.get("task"), control_hz=hz)
-
-
-def _tidy(value: float) -> float:
-    """Four digits: nobody needs more of a limit."""
-    return float(f"{value:.4g}")
-
-
-def to_yaml(contract: Contract) -> str:
-    """The contract as a person edits it: what is at its default is left out."""
-    content = contract.model_dump(mode="json", exclude_defaults=True)
-    return yaml.safe_dump({"name": contract.name, **content}, sort_keys=False, allow_unicode=True, width=120)

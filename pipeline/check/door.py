@@ -41,8 +41,8 @@ class Verdicts:
                 at, verdict = found
                 made_from = "" if at.id == episode.id else f", made from episode {at.id},"
                 raise DatasetError(f"episode {episode.id}{made_from} failed its check; it cannot be used for training",
-                                   where=verdict.reason, mend=f"leave the episode out; see all that was found: hardcase "
-                                   f"check {at.id}; a false alarm: check it again with --contract")
+                                   where=verdict.reason, mend="leave the episode out; see all that was found: "
+                                   f"hardcase check {at.id}; a false alarm: check it again with --contract")
 
     def check_version(self, version: DatasetVersion, episodes: Iterable[Episode],
                       known: Iterable[Episode] = ()) -> None:
@@ -61,9 +61,9 @@ class Verdicts:
     def _failed(self, episode: Episode, by_id: Mapping[str, Episode]) -> tuple[Episode, CheckVerdict] | None:
         """The episode or, for a variant, the one that its frames were made from, if its last verdict is a failure."""
         here, seen = episode, set[str]()
-        while here.origin in VARIANTS and here.parent in by_id and here.id not in seen:
+        while here.origin in VARIANTS and here.id not in seen and (parent := by_id.get(here.parent or "")) is not None:
             seen.add(here.id)
-            here = by_id[here.parent]
+            here = parent
         verdict = self.by_subject.get(here.blob or "")
         return None if verdict is None or verdict.passed else (here, verdict)
 

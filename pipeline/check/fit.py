@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.check.signals import Subject, Tables
 from schemas.contract import Contract, Evaluation
@@ -21,8 +22,8 @@ def evaluation(subject: Subject, contract: Contract) -> Iterator[Finding]:
         return
     for wanted, found, what in _facts(subject, task):
         if wanted is not None and found is not None and wanted != found:
-            yield Finding(check="evaluation", what=f"{what} is {found}, the evaluation has {wanted}", where=subject.name,
-                          value=float(found) if isinstance(found, float) else None,
+            yield Finding(check="evaluation", what=f"{what} is {found}, the evaluation has {wanted}",
+                          where=subject.name, value=float(found) if isinstance(found, float) else None,
                           limit=float(wanted) if isinstance(wanted, float) else None,
                           mend="train on data of the robot and task that is evaluated, or evaluate what was recorded")
     if subject.tables is not None:
@@ -94,10 +95,10 @@ def _actions(subject: Subject, tables: Tables, task: Evaluation) -> Iterator[Fin
     outside = ((rows < low - slack) | (rows > high + slack)).mean(axis=0)
     names = feature_names(tables.info.get("features", {}), task.action) or tuple(map(str, range(width)))
     for k in np.flatnonzero(outside > OUTSIDE_SHARE).tolist():
-        yield Finding(check="evaluation", what=f"{outside[k]:.0%} of {names[k]} lie outside {low[k]:.3g} to {high[k]:.3g}, "
-                      "which the evaluation takes", where=f"{subject.name} {task.action} {names[k]}",
+        yield Finding(check="evaluation", what=f"{outside[k]:.0%} of {names[k]} lie outside {low[k]:.3g} to "
+                      f"{high[k]:.3g}, which the evaluation takes", where=f"{subject.name} {task.action} {names[k]}",
                       value=float(np.abs(rows[:, k]).max()), limit=float(high[k]),
-                      mend="look at the action's unit and meaning (absolute or relative); the environment would clip it")
+                      mend="look at the action's unit and meaning (absolute or relative); it would be clipped")
 
 
 def statistics(subject: Subject, contract: Contract) -> Iterator[Finding]:
@@ -146,12 +147,13 @@ def tables(subject: Subject, contract: Contract) -> Iterator[Finding]:
         yield _inconsistent(subject, f"info.json counts {found.info.get('total_frames')} frames, the episodes table "
                             f"{int(lengths.sum())}, the data files hold {rows}")
     elif found.info.get("total_episodes") != len(lengths):
-        yield _inconsistent(subject, f"info.json counts {found.info.get('total_episodes')} episodes, the table {len(lengths)}")
+        yield _inconsistent(subject, f"info.json counts {found.info.get('total_episodes')} episodes, the table "
+                            f"{len(lengths)}")
     else:
         yield from _numbering(subject, found, lengths)
 
 
-def _numbering(subject: Subject, found: Tables, lengths: np.ndarray) -> Iterator[Finding]:
+def _numbering(subject: Subject, found: Tables, lengths: NDArray[np.int64]) -> Iterator[Finding]:
     rows, fps = int(lengths.sum()), float(found.info.get("fps", 1))
     stops = np.cumsum(lengths)
     within = np.arange(rows) - np.repeat(stops - lengths, lengths)

@@ -2,8 +2,8 @@
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
-from hashlib import blake2b
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrow import pa, read_parquet, to_rows
+from pipeline.check.films import MEND, film_cameras, pictures_there
 from pipeline.check.fit import feature_names
-from pipeline.check.pictures import Grey, compressed, small
-from pipeline.check.signals import Camera, Column, Signals, Subject, Tables, Topic
+from pipeline.check.signals import Column, Signals, Subject, Tables, Topic
 from pipeline.errors import DatasetError, HardcaseError
 from pipeline.files import sha256_file
 from pipeline.lerobot_view.layout import BOOKKEEPING, INFO, MANIFEST, STATS, files_in
@@ -21,7 +21,6 @@ from pipeline.lerobot_view.manifest import load_version, read_manifest
 from schemas.dataset import DatasetVersion
 
 PICTURES = ("image", "video")
-MEND = "name the folder of a LeRobot v3.0 dataset, the one that holds meta/info.json"
 MAX_ROWS = 20_000_000
 """Rows above which a folder is refused rather than held in memory."""
 
@@ -50,20 +49,15 @@ def read_folder(folder: Path, *, name: str | None = None) -> Subject:
         frames = _frames(folder, info)
         tables = _tables(folder, info, episodes, frames)
         recordings = tuple(_recording(k, tables) for k in range(len(episodes["episode_index"])))
-        cameras = _cameras(folder, tables)
+        cameras = film_cameras(folder, tables)
     except HardcaseError:
         raise
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise DatasetError(f"dataset is damaged: {reason[:200]}", where=folder, mend=MEND) from error
     called = name or (tables.version.id if tables.version else folder.resolve().name)
-    recordings = tuple(_with(s, cameras.get(k, {})) for k, s in enumerate(recordings))
+    recordings = tuple(replace(s, cameras=cameras.get(k, {})) for k, s in enumerate(recordings))
     return Subject(called, _digest(folder, tables.version), recordings, tables)
-
-
-def _with(signals: Signals, cameras: Mapping[str, Camera]) -> Signals:
-    return Signals(signals.name, signals.topics, cameras, signals.episode, signals.metadata, signals.attachments,
-                   signals.faults, signals.lineage, signals.split, signals.index)
 
 
 def _digest(folder: Path, version: DatasetVersion | None) -> str:
@@ -99,7 +93,8 @@ def _episodes(folder: Path) -> dict[str, list[Any]]:
 def _frames(folder: Path, info: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
     """Feature -> rows of every number feature, the data files joined in the order of their names."""
     features: dict[str, Any] = info["features"]
-    wanted = {n: int(np.prod(f.get("shape") or [1])) for n, f in features.items() if f["dtype"] not in (*PICTURES, "string")}
+    wanted = {n: int(np.prod(f.get("shape") or [1])) for n, f in features.items()
+              if f["dtype"] not in (*PICTURES, "string")}
     wanted |= {n: 1 for n in BOOKKEEPING}
     parts: dict[str, list[NDArray[Any]]] = {}
     for path in sorted((folder / "data").rglob("*.parquet")):
@@ -137,51 +132,7 @@ def _tables(folder: Path, info: Mapping[str, Any], episodes: Mapping[str, list[A
             version = load_version(folder)
         except DatasetError as error:
             damage = error.what
-    return Tables(info, stats, episodes, frames, _pictures_there(folder, info, episodes), version, manifest, damage)
-
-
-def _pictures_there(folder: Path, info: Mapping[str, Any], episodes: Mapping[str, list[Any]]) -> dict[tuple[str, int], int]:
-    """(video feature, episode) -> pictures that the video holds for it, by its own packets."""
-    found: dict[tuple[str, int], int] = {}
-    fps = float(info["fps"])
-    for name in _videos(info):
-        stamps: dict[Path, NDArray[np.float64]] = {}
-        for k, (path, start, stop) in enumerate(_places(folder, info, episodes, name)):
-            if path not in stamps:
-                stamps[path] = _packet_stamps(path)
-            inside = (stamps[path] >= start - 0.5 / fps) & (stamps[path] < stop - 0.5 / fps)
-            found[name, int(episodes["episode_index"][k])] = int(inside.sum())
-    return found
-
-
-def _videos(info: Mapping[str, Any]) -> list[str]:
-    return [n for n, f in info["features"].items() if f["dtype"] == "video"]
-
-
-def _places(folder: Path, info: Mapping[str, Any], episodes: Mapping[str, list[Any]],
-            name: str) -> Iterator[tuple[Path, float, float]]:
-    """File, first and last moment of every episode's video."""
-    columns = [episodes[f"videos/{name}/{part}"] for part in ("chunk_index", "file_index", "from_timestamp", "to_timestamp")]
-    for chunk, file, start, stop in zip(*columns, strict=True):
-        relative = str(info["video_path"]).format(video_key=name, chunk_index=chunk, file_index=file)
-        path = (folder / relative).resolve()
-        if folder.resolve() not in path.parents:
-            raise DatasetError(f"video path {relative!r} leads out of the dataset", where=folder, mend=MEND)
-        yield path, float(start), float(stop)
-
-
-def _packet_stamps(path: Path) -> NDArray[np.float64]:
-    """Presentation times of all packets [s]; nothing is decoded."""
-    import av
-
-    try:
-        with av.open(str(path)) as container:
-            stream = container.streams.video[0]
-            base = float(stream.time_base or 1)
-            return np.sort([float(p.pts) * base for p in container.demux(stream) if p.pts is not None])
-    except (av.FFmpegError, IndexError) as error:
-        raise DatasetError(f"video cannot be read: {error}", where=path, mend="encode it again from its recordings") \
-            from error
+    return Tables(info, stats, episodes, frames, pictures_there(folder, info, episodes), version, manifest, damage)
 
 
 def _recording(k: int, tables: Tables) -> Signals:
@@ -214,56 +165,3 @@ def _split(info: Mapping[str, Any], k: int) -> str:
         if first.isdigit() and last.isdigit() and int(first) <= k < int(last):
             return str(name)
     return ""
-
-
-def _cameras(folder: Path, tables: Tables) -> dict[int, dict[str, Camera]]:
-    """Place of an episode -> its cameras: videos decoded once a file, pictures out of the data files."""
-    found: dict[int, dict[str, Camera]] = {}
-    for name in _videos(tables.info):
-        files: dict[Path, tuple[NDArray[np.float64], list[Grey], tuple[int, int]]] = {}
-        for k, (path, start, stop) in enumerate(_places(folder, tables.info, tables.episodes, name)):
-            if path not in files:
-                files = {path: _decoded(path)}
-            stamps, thumbs, size = files[path]
-            half = 0.5 / float(tables.info["fps"])
-            inside = np.flatnonzero((stamps >= start - half) & (stamps < stop - half))
-            found.setdefault(k, {})[name] = _camera(name, stamps[inside] - start, [thumbs[i] for i in inside], size)
-    for name in (n for n, f in tables.info["features"].items() if f["dtype"] == "image"):
-        for k, camera in _images(folder, tables, name):
-            found.setdefault(k, {})[name] = camera
-    return found
-
-
-def _camera(name: str, stamps_s: NDArray[np.float64], thumbs: list[Grey], size: tuple[int, int]) -> Camera:
-    prints = tuple(blake2b(t.tobytes(), digest_size=8).digest() for t in thumbs)
-    stack = np.stack(thumbs) if thumbs else np.zeros((0, 12, 16), np.uint8)
-    return Camera(name, np.round(stamps_s * 1e9).astype(np.int64), stack, prints, size)
-
-
-def _decoded(path: Path) -> tuple[NDArray[np.float64], list[Grey], tuple[int, int]]:
-    import av
-
-    stamps: list[float] = []
-    thumbs: list[Grey] = []
-    size = (0, 0)
-    with av.open(str(path)) as container:
-        for frame in container.decode(video=0):
-            size = (frame.width, frame.height)
-            stamps.append(float(frame.time or 0.0))
-            thumbs.append(small(frame.to_ndarray(format="gray")))
-    return np.array(stamps), thumbs, size
-
-
-def _images(folder: Path, tables: Tables, name: str) -> Iterator[tuple[int, Camera]]:
-    """Cameras of an image feature, whose files lie in the data files as {bytes, path}."""
-    cells: list[Any] = []
-    for path in sorted((folder / "data").rglob("*.parquet")):
-        cells += read_parquet(path, [name]).column(name).to_pylist()
-    stop = 0
-    for k, length in enumerate(tables.episodes["length"]):
-        start, stop = stop, stop + int(length)
-        pictures = [compressed(memoryview(c["bytes"])) if c and c.get("bytes") else None for c in cells[start:stop]]
-        whole = [p[0] for p in pictures if p is not None]
-        if whole:
-            stamps = np.flatnonzero([p is not None for p in pictures]) / float(tables.info["fps"])
-            yield k, _camera(name, stamps, whole, next(p[1] for p in pictures if p is not None))

@@ -23,7 +23,17 @@ class Fit:
 def resample(stamps_s: Rows, rows: Rows, clock_s: Rows) -> Rows:
     """Rows at other times, linear between their own; stamps that do not rise are left out."""
     keep = np.concatenate([[True], np.diff(np.maximum.accumulate(stamps_s)) > 0])
-    return np.column_stack([np.interp(clock_s, stamps_s[keep], column[keep]) for column in rows.T])
+    out = np.empty((len(clock_s), rows.shape[1]))
+    for k in range(rows.shape[1]):
+        out[:, k] = np.interp(clock_s, stamps_s[keep], rows[keep, k])
+    return out
+
+
+def correlation(one: Rows, other: Rows) -> float:
+    """Pearson's correlation of all numbers of two arrays, -1 to 1; 0 where one of them does not change."""
+    a, b = one.ravel() - one.mean(), other.ravel() - other.mean()
+    scale = float(np.sqrt(float(a @ a) * float(b @ b)))
+    return float(a @ b) / scale if scale > 0 else 0.0
 
 
 def best_lag(leader: Rows, follower: Rows, period_s: float, *, allowed_s: tuple[float, float],

@@ -74,7 +74,7 @@ def motion_of(signals: Signals, contract: Contract) -> Motion | None:
             if len(own) != len(theirs):
                 theirs = resample(commanded[0].seconds, theirs, measured[0].seconds)
             both = np.nan_to_num(np.column_stack([own, theirs]))
-            at = np.linspace(0, len(both) - 1, POINTS)
+            at = np.linspace(0, len(both) - 1, POINTS, dtype=np.float64)
             exact = np.ascontiguousarray(both, np.float32)
             moved = np.concatenate([[True], (np.diff(exact, axis=0) != 0).any(axis=1)])
             lineage = signals.lineage or (signals.episode.lineage if signals.episode is not None else "")
@@ -143,7 +143,8 @@ def same_motion(motions: Sequence[Motion], thresholds: Thresholds) -> list[Twins
             if share >= thresholds.twin_rows:
                 a, b = pair
                 found.setdefault(pair, Twins(a, b, f"shares {share:.0%} of its rows with {motions[a].name}", 1 - share))
-    return [t for _, t in sorted(found.items()) if t.distance == 0 or not _relatives(motions[t.first], motions[t.second])]
+    pairs = [twins for _, twins in sorted(found.items())]
+    return [t for t in pairs if t.distance == 0 or not _relatives(motions[t.first], motions[t.second])]
 
 
 def _relatives(one: Motion, other: Motion) -> bool:
@@ -163,12 +164,12 @@ def _near(members: Sequence[int], motions: Sequence[Motion], limit: float) -> di
     found: dict[tuple[int, int], Twins] = {}
     for start in range(0, len(shares), BLOCK):
         far = squares[start:start + BLOCK, None] + squares[None] - 2 * shares[start:start + BLOCK] @ shares.T
-        for row, b in np.argwhere(far < (limit ** 2 + 1e-9) * width).tolist():
-            a = start + row
+        rows, others = np.nonzero(far < (limit ** 2 + 1e-9) * width)
+        for a, b in zip((rows + start).tolist(), others.tolist(), strict=True):
             distance = float(np.sqrt(np.mean((shares[a] - shares[b]) ** 2)))
             if a < b and distance <= limit:
-                one, other = motions[members[a]], motions[members[b]]
-                exact = one.digest == other.digest
+                one = motions[members[a]]
+                exact = one.digest == motions[members[b]].digest
                 what = f"holds the same motion as {one.name}" if exact else \
                     f"differs from {one.name} by {distance:.2g} of the motion's range only"
                 pair = members[a], members[b]

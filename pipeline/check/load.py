@@ -117,12 +117,10 @@ class _Parts:
     names: dict[str, tuple[str, ...]] = field(default_factory=dict[str, tuple[str, ...]])
     odd: set[str] = field(default_factory=set[str])
     """Fields that some message lacks or has in another length: no columns."""
-    messages: int = 0
     undecoded: int = 0
 
     def add(self, batch: Batch, fields: Fields | None, *, values: bool) -> None:
         """Take a batch in; of messages that cannot be decoded only the stamps."""
-        self.messages += len(batch)
         self.log.append(batch.log_ns)
         self.publish.append(batch.publish_ns)
         self.sequence.append(batch.sequence.astype(np.int64))
@@ -154,12 +152,14 @@ class _Parts:
         self.odd |= set(self.values) - found
 
     def topic(self) -> Topic:
-        """All batches as one."""
-        whole = sum(map(len, self.header)) == self.messages
-        columns = {path: Column(np.concatenate(parts).astype(np.float64), self.names[path])
+        """All batches as one; latched messages at time 0 are left out unless there is nothing else."""
+        log = np.concatenate(self.log)
+        kept = log != 0 if log.any() else np.ones(len(log), bool)
+        whole = bool(self.header) and sum(map(len, self.header)) == len(log)
+        columns = {path: Column(np.concatenate(parts).astype(np.float64)[kept], self.names[path])
                    for path, parts in self.values.items() if path not in self.odd}
-        return Topic(self.name, self.type, np.concatenate(self.log), np.concatenate(self.publish),
-                     np.concatenate(self.header) if whole and self.header else None, np.concatenate(self.sequence),
+        return Topic(self.name, self.type, log[kept], np.concatenate(self.publish)[kept],
+                     np.concatenate(self.header)[kept] if whole else None, np.concatenate(self.sequence)[kept],
                      columns, self.undecoded)
 
 

@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from pipeline.check.signals import Signals, Topic
-from schemas.contract import Contract
+from pipeline.check.signals import Ns, Signals, Topic
+from schemas.contract import CameraRule, Contract, TopicRule
 from schemas.finding import Finding
 
 COMMON_STEP = 0.8
@@ -25,8 +25,9 @@ def sequence(signals: Signals, contract: Contract) -> Iterator[Finding]:
         elif (back := np.flatnonzero(steps < 0)).size:
             k = int(back[0]) + 1
             yield Finding(check="sequence", what=f"message {k} has number {topic.sequence[k]}, the one before "
-                          f"{topic.sequence[k - 1]}", where=topic.name, at_s=signals.at_s(int(topic.log_ns[k])), frame=k,
-                          value=float(back.size), limit=0.0, mend="record through one queue that keeps the order")
+                          f"{topic.sequence[k - 1]}", where=topic.name, at_s=signals.at_s(int(topic.log_ns[k])),
+                          frame=k, value=float(back.size), limit=0.0,
+                          mend="record through one queue that keeps the order")
         lost = steps > common
         missing = int((steps[lost] // common - 1).sum()) if common > 0 and share >= COMMON_STEP else 0
         if missing > contract.thresholds.missing_share * len(topic):
@@ -37,7 +38,7 @@ def sequence(signals: Signals, contract: Contract) -> Iterator[Finding]:
                           mend="record again with a longer queue; a hole in the commands cannot be filled in")
 
 
-def _common(steps: np.ndarray) -> tuple[int, float]:
+def _common(steps: Ns) -> tuple[int, float]:
     """The most frequent step of a running number, and its share."""
     values, counts = np.unique(steps, return_counts=True)
     return int(values[counts.argmax()]), float(counts.max() / counts.sum())
@@ -51,36 +52,49 @@ def _repeated(signals: Signals, topic: Topic, k: int, count: int) -> Finding:
 
 
 def coverage(signals: Signals, contract: Contract) -> Iterator[Finding]:
-    """Required topics: there, of the right type, decodable, and speaking from the beginning to the end."""
-    span = signals.stop_ns - signals.start_ns
-    required = {**contract.topics, **{name: rule for name, rule in contract.cameras.items()}}
-    for name, rule in required.items():
-        topic, camera = signals.topics.get(name), signals.cameras.get(name)
-        stamps = topic.log_ns if topic is not None else camera.stamps_ns if camera is not None else None
-        if stamps is None or not len(stamps):
+    """Required topics and cameras: there, of the right type, decodable, speaking from the beginning to the end."""
+    for name, rule in (*contract.topics.items(), *contract.cameras.items()):
+        topic = signals.topics.get(name)
+        stamps = _stamps(signals, name)
+        if not len(stamps):
             if rule.required:
-                yield Finding(check="coverage", what=f"topic {name}, required by contract {contract.name!r}, is missing",
-                              where=signals.name, mend="start its sensor or driver and record again, or set required: "
-                              "false in the contract")
+                what = f"topic {name}, required by contract {contract.name!r}, is missing"
+                yield Finding(check="coverage", what=what, where=signals.name,
+                              mend="start its sensor or driver and record again; or, in the contract, required: false")
             continue
-        kind = getattr(rule, "type", None)
-        if topic is not None and kind and topic.type and _plain(topic.type) != _plain(kind):
-            yield Finding(check="coverage", what=f"type is {topic.type}, the contract asks for {kind}", where=name,
+        if isinstance(rule, TopicRule) and topic is not None and rule.type and topic.type \
+                and _plain(topic.type) != _plain(rule.type):
+            yield Finding(check="coverage", what=f"type is {topic.type}, the contract asks for {rule.type}", where=name,
                           mend="record the topic with the driver that the contract was made for")
-        rated = getattr(rule, "rate_hz", None) is not None or camera is not None
-        for edge, lost in (("begins", int(stamps.min()) - signals.start_ns), ("ends", signals.stop_ns - int(stamps.max()))):
-            share = lost / span if span > 0 else 0.0
-            if rated and share > contract.thresholds.cover_share:
-                yield Finding(check="coverage", what=f"{edge} {lost / 1e9:.3g} s {'late' if edge == 'begins' else 'early'}",
-                              where=name, at_s=signals.at_s(int(stamps.min() if edge == 'begins' else stamps.max())),
-                              value=share, limit=contract.thresholds.cover_share,
-                              mend="wait for every sensor before recording; drop the episode")
+        if isinstance(rule, CameraRule) or rule.rate_hz is not None:
+            yield from _edges(signals, name, stamps, contract)
+    required = {*contract.topics, *contract.cameras}
     for topic in signals.topics.values():
         if topic.undecoded:
             yield Finding(check="coverage", severity="error" if topic.name in required else "warning",
                           what=f"{topic.undecoded} of {len(topic)} messages cannot be decoded", where=topic.name,
                           value=float(topic.undecoded), limit=0.0,
                           mend="record with the message definition that the driver really uses")
+
+
+def _stamps(signals: Signals, name: str) -> Ns:
+    """Stamps of a topic, or of a dataset's camera; empty where there is neither."""
+    topic, camera = signals.topics.get(name), signals.cameras.get(name)
+    if topic is not None:
+        return topic.log_ns
+    return camera.stamps_ns if camera is not None else np.empty(0, np.int64)
+
+
+def _edges(signals: Signals, name: str, stamps: Ns, contract: Contract) -> Iterator[Finding]:
+    """A topic that begins after the recording, or ends before it."""
+    span, limit = signals.stop_ns - signals.start_ns, contract.thresholds.cover_share
+    first, last = int(stamps.min()), int(stamps.max())
+    for lost, edge, what in ((first - signals.start_ns, first, "begins {:.3g} s late"),
+                             (signals.stop_ns - last, last, "ends {:.3g} s early")):
+        if span > 0 and lost / span > limit:
+            yield Finding(check="coverage", what=what.format(lost / 1e9), where=name, at_s=signals.at_s(edge),
+                          value=lost / span, limit=limit,
+                          mend="wait for every sensor before recording; drop the episode")
 
 
 def _plain(kind: str) -> str:

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.check.following import best_lag, resample
 from pipeline.check.signals import Column, Rows, Signals, Topic
@@ -143,7 +144,7 @@ def lag(signals: Signals, contract: Contract) -> Iterator[Finding]:
                           "contract for a slow robot")
 
 
-def _moving(leader: Rows, both: Followed, contract: Contract) -> np.ndarray:
+def _moving(leader: Rows, both: Followed, contract: Contract) -> NDArray[np.bool_]:
     """Columns whose command goes some way: in the others noise alone would be correlated, shape (d,)."""
     travelled = np.abs(leader).sum(axis=0)
     needed = np.array([_moved(name, contract, both.pair.measured) for name in both.names])

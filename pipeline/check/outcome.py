@@ -34,9 +34,9 @@ def success_flag(signals: Signals, contract: Contract) -> Iterator[Finding]:
     last = slice(1 - max(rule.hold_ticks, 2), None)  # the attempt ends at the tick after its last row
     where, mend = signals.name, "label the episode again, or drop it: a wrong flag teaches failures as successes"
     if label == "success" and near[-1] > rule.within_m + slack:
-        yield Finding(check="success-flag", what=f"recorded as success, but the object ends {near[-1] * 1e3:.0f} mm off "
-                      "its mark", where=where, frame=len(near) - 1, value=float(near[-1]), limit=rule.within_m + slack,
-                      mend=mend)
+        yield Finding(check="success-flag", what=f"recorded as success, but the object ends {near[-1] * 1e3:.0f} mm "
+                      "off its mark", where=where, frame=len(near) - 1, value=float(near[-1]),
+                      limit=rule.within_m + slack, mend=mend)
     elif label == "success" and found["gripper"][-1] < rule.open_m / 2 and away[-1] < rule.away_m:
         yield Finding(check="success-flag", what="recorded as success, but the object is still held at the end",
                       where=where, frame=len(near) - 1, value=float(away[-1]), limit=rule.away_m, mend=mend)

@@ -1,7 +1,8 @@
 """Pictures of logs and videos, small and grey, as the camera checks look at them."""
 
 import io
-from collections.abc import Callable
+from importlib import import_module
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,17 +36,17 @@ def compressed(data: memoryview) -> tuple[Grey, tuple[int, int]] | None:
 
 
 def _jpeg(raw: bytes) -> tuple[Grey, tuple[int, int]] | None:
-    from simplejpeg import decode_jpeg, decode_jpeg_header
-
+    simplejpeg: Any = import_module("simplejpeg")  # compiled, and without types
     try:
-        height, width, _, _ = decode_jpeg_header(raw)
+        height, width, _, _ = simplejpeg.decode_jpeg_header(raw)
         if height * width > MAX_PIXELS:
             return None
         # libjpeg scales while it decodes: an eighth of the work for pictures that are only looked at from afar
-        grey = decode_jpeg(raw, colorspace="GRAY", fastdct=True, min_height=4 * THUMB[1], min_width=4 * THUMB[0])
+        grey = simplejpeg.decode_jpeg(raw, colorspace="GRAY", fastdct=True, min_height=4 * THUMB[1],
+                                      min_width=4 * THUMB[0])
     except ValueError:
         return None
-    return small(grey[:, :, 0]), (width, height)
+    return small(grey[:, :, 0]), (int(width), int(height))
 
 
 def _other(raw: bytes) -> tuple[Grey, tuple[int, int]] | None:
@@ -64,10 +65,7 @@ def raw_picture(data: memoryview, encoding: str, width: int, height: int,
                 step: int) -> tuple[Grey, tuple[int, int]] | None:
     """A sensor_msgs/Image with 8 bits a channel; None for other encodings and sizes that do not fit."""
     channels = RAW_CHANNELS.get(encoding)
-    if channels is None or not (0 < width * channels <= step and 0 < height) or height * step > len(data):
+    if channels is None or not 0 < width * channels <= step or height <= 0 or height * step > len(data):
         return None
     rows = np.frombuffer(data, np.uint8, height * step).reshape(height, step)[:, :width * channels]
     return small(rows.reshape(height, width, channels).mean(axis=2)), (width, height)
-
-
-type Decode = Callable[[memoryview], tuple[Grey, tuple[int, int]] | None]

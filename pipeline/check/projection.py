@@ -6,7 +6,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.check.following import resample
+from pipeline.check.following import correlation, resample
 from pipeline.check.signals import Camera, Rows, Signals
 
 MAX_SCENE = 16 << 20
@@ -29,7 +29,7 @@ class Pose:
         """Where points appear, right and down of the middle, in units of the focal length, shape (n, 3) -> (n, 2)."""
         own = (points_m - self.position_m) @ self.rotation
         depth = np.maximum(-own[:, 2], 1e-6)
-        return np.column_stack([own[:, 0], -own[:, 1]]) / depth[:, None]
+        return np.column_stack([own[:, 0] / depth, -own[:, 1] / depth])
 
 
 def scene_poses(scene: bytes) -> dict[str, Pose]:
@@ -37,7 +37,7 @@ def scene_poses(scene: bytes) -> dict[str, Pose]:
     if not scene or len(scene) > MAX_SCENE or b"<!DOCTYPE" in scene or b"<!ENTITY" in scene:
         return {}
     try:
-        root = ET.fromstring(scene)  # noqa: S314  without a document type there is nothing to expand
+        root = ET.fromstring(scene)  # without a document type there is nothing to expand
         world = root.find("worldbody")
         cameras = [] if world is None else world.findall("camera")
         return {str(c.get("name")): Pose(_numbers(c.get("pos", "0 0 0"), 3), _rotation(c)) for c in cameras
@@ -58,9 +58,9 @@ def _rotation(camera: ET.Element) -> Rows:
     if (axes := camera.get("xyaxes")) is not None:
         both = _numbers(axes, 6)
         x = both[:3] / np.linalg.norm(both[:3])
-        y = both[3:] - x * (x @ both[3:])
+        y = both[3:] - x * float(x @ both[3:])
         y = y / np.linalg.norm(y)
-        return np.column_stack([x, y, np.cross(x, y)])
+        return np.array([x, y, np.cross(x, y)], np.float64).T
     w, x, y, z = _numbers(camera.get("quat", "1 0 0 0"), 4)
     return np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
                      [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
@@ -95,6 +95,5 @@ def fits(camera: Camera, track: tuple[NDArray[np.int64], Rows], pose: Pose) -> f
     clock = (camera.stamps_ns[1:][moving] - zero) / 1e9
     seen = pose.seen(resample((track[0] - zero) / 1e9, track[1], clock))
     spread = seen.std(axis=0)
-    both = [float(np.corrcoef(place[:, k], seen[:, k])[0, 1]) if spread[k] > 1e-6 and place[:, k].std() > 0 else 0.0
-            for k in range(2)]
-    return float(np.average(both, weights=spread + 1e-9))
+    weights = [float(s) + 1e-9 for s in spread]
+    return sum(w * correlation(place[:, k], seen[:, k]) for k, w in enumerate(weights)) / sum(weights)

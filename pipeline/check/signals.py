@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -185,6 +185,6 @@ class Subject:
     tables: Tables | None = None
 
     @property
-    def kind(self) -> str:
+    def kind(self) -> Literal["recording", "dataset"]:
         """'recording' or 'dataset'."""
         return "recording" if self.tables is None else "dataset"

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
+from pipeline.check.following import correlation
 from pipeline.check.projection import fits, scene_poses, tool_track
 from pipeline.check.signals import THUMB, Camera, Pictures, Rows, Signals, Subject
 from schemas.contract import Contract
@@ -43,8 +44,8 @@ def swapped_cameras(subject: Subject, contract: Contract) -> Iterator[Finding]:
                 (a, b, gain), at_s = found
                 yield Finding(check="swapped-cameras", what=f"{a} shows what {b} should, and the other way round",
                               where=signals.name, at_s=at_s, value=gain, limit=contract.thresholds.swap_margin,
-                              mend="exchange the two cameras' topics or plugs; make the contract anew if they were moved "
-                              "on purpose")
+                              mend="exchange the two cameras' topics or plugs; make the contract anew if they were "
+                              "moved on purpose")
 
 
 def picture(thumbs: Pictures) -> Rows:
@@ -71,20 +72,13 @@ def _consensus(subject: Subject) -> dict[str, Rows]:
     return {name: np.median(pictures, axis=0) for name, pictures in shown.items()}
 
 
-def _alike(one: Rows, other: Rows) -> float:
-    """Correlation of two pictures, -1 to 1: brightness and contrast do not count."""
-    a, b = one.ravel() - one.mean(), other.ravel() - other.mean()
-    scale = float(np.sqrt((a ** 2).sum() * (b ** 2).sum()))
-    return float((a * b).sum()) / scale if scale > 0 else 0.0
-
-
 def _exchanged(shown: Mapping[str, Rows], known: Mapping[str, Rows], margin: float) -> Exchange | None:
     """Two cameras, each of which looks more like the other one."""
     names = sorted(set(shown) & set(known))
     for k, a in enumerate(names):
         for b in names[k + 1:]:
-            gain = min(_alike(shown[a], known[b]) - _alike(shown[a], known[a]),
-                       _alike(shown[b], known[a]) - _alike(shown[b], known[b]))
+            gain = min(correlation(shown[a], known[b]) - correlation(shown[a], known[a]),
+                       correlation(shown[b], known[a]) - correlation(shown[b], known[b]))
             if gain > margin:
                 return a, b, gain
     return None
@@ -147,5 +141,5 @@ def _by_motion(signals: Signals) -> tuple[Exchange, None] | None:
 
 def _moving_share(thumbs: Pictures) -> float:
     """Share of pixels whose grey value changes over the recording by more than noise."""
-    low, high = np.quantile(thumbs, [0.1, 0.9], axis=0)
-    return float(np.mean(high - low > CHANGED_GREY))
+    low, high = (np.quantile(thumbs, share, axis=0) for share in (0.1, 0.9))
+    return float(np.count_nonzero(high - low > CHANGED_GREY)) / low.size

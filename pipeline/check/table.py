@@ -38,7 +38,7 @@ def _nothing(subject: Subject, contract: Contract) -> str:
 
 
 def _clocks(subject: Subject, contract: Contract) -> str:
-    return "a dataset's times follow from its row numbers" if subject.tables is not None else _nothing(subject, contract)
+    return _nothing(subject, contract) if subject.tables is None else "a dataset's times follow from its row numbers"
 
 
 def _rates(subject: Subject, contract: Contract) -> str:
@@ -120,16 +120,16 @@ def _recording(subject: Subject, contract: Contract) -> str:
 
 
 CHECKS: MappingProxyType[str, Entry] = MappingProxyType({
-    "truncated": Entry(_each(messages.truncated), _recording, "the file ends early, or was recovered from one that did"),
+    "truncated": Entry(_each(messages.truncated), _recording, "the file ends early, or was recovered after it did"),
     "summary": Entry(_each(messages.summary), _recording, "the summary does not count what the file holds"),
     "consent": Entry(_each(outcome.consent), _consent, "no consent record, or a person under 'simulated'"),
-    "coverage": Entry(_each(messages.coverage), _required, "a required topic or camera is missing, of another type, begins "
-                      "late, ends early, or does not decode"),
+    "coverage": Entry(_each(messages.coverage), _required, "a required topic or camera is missing, of another type, "
+                      "begins late, ends early, or does not decode"),
     "rates": Entry(_each(timing.rates), _rates, "a topic speaks faster or slower than the contract says"),
     "gaps": Entry(_each(timing.gaps), _clocks, "a steady topic falls silent"),
     "jitter": Entry(_each(timing.jitter), _clocks, "a steady topic speaks unevenly"),
     "clock-offset": Entry(_each(timing.clock_offset), _clocks, "stamps of one topic lie off those of the others"),
-    "clock-drift": Entry(_each(timing.clock_drift), _clocks, "a topic's clock runs faster or slower than the recorder's"),
+    "clock-drift": Entry(_each(timing.clock_drift), _clocks, "a topic's clock runs away from the recorder's"),
     "clock-jump": Entry(_each(timing.clock_jump), _clocks, "time goes back, or two clocks part at a bound"),
     "sequence": Entry(_each(messages.sequence), _clocks, "running numbers left out, there twice, or out of order"),
     "finite": Entry(_each(values.finite), _nothing, "NaN or infinity"),
@@ -143,7 +143,7 @@ CHECKS: MappingProxyType[str, Entry] = MappingProxyType({
     "swapped-cameras": Entry(swapped.swapped_cameras, _two_cameras, "two cameras show what the other one should"),
     "frames": Entry(video.frames, _pictures, "fewer or more pictures or messages than rows"),
     "shifted-video": Entry(_each(video.shifted_video), _moving_cameras, "pictures move before or after the joints do"),
-    "success-flag": Entry(_each(outcome.success_flag), _outcome, "the recorded outcome is not what the robot perceived"),
+    "success-flag": Entry(_each(outcome.success_flag), _outcome, "the recorded outcome is not what was perceived"),
     "duplicates": Entry(identity.duplicates, _several, "episodes with the same motion"),
     "leaks": Entry(identity.leaks, _splits, "held-out episodes that training knows, by descent or by content"),
     "evaluation": Entry(fit.evaluation, _evaluation, "robot, task, rate, features or actions are not those that the "

@@ -86,8 +86,9 @@ def clock_drift(signals: Signals, contract: Contract) -> Iterator[Finding]:
             continue
         at = (topic.log_ns - topic.log_ns[0]) / SECOND_NS
         off = (offsets - offsets[0]) / SECOND_NS
-        slope, start = np.polyfit(at, off, 1)
-        drift, scatter = float(slope * at[-1]), float(np.std(off - (slope * at + start)))
+        centred = at - at.mean()
+        slope = float(centred @ off / max(centred @ centred, 1e-12))
+        drift, scatter = slope * float(at[-1]), float(np.std(off - off.mean() - slope * centred))
         limit = contract.thresholds.drift_s
         if abs(drift) > limit and abs(drift) > 6 * scatter:
             yield Finding(check="clock-drift", what=f"its clock drifts {drift:+.3g} s in {at[-1]:.3g} s "

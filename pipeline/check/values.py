@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from pipeline.check.motion import followed, unit_of
-from pipeline.check.signals import Column, Signals, Topic
+from pipeline.check.signals import Column, Rows, Signals, Topic
 from schemas.contract import Contract, Limit
 from schemas.finding import Finding
 
@@ -45,24 +45,24 @@ def limits(signals: Signals, contract: Contract) -> Iterator[Finding]:
                 yield from _too_fast(signals, topic, reference, name, values, limit, contract)
 
 
-def _beyond(signals: Signals, topic: Topic, reference: str, name: str, values: np.ndarray, limit: Limit,
+def _beyond(signals: Signals, topic: Topic, reference: str, name: str, values: Rows, limit: Limit,
             contract: Contract) -> Iterator[Finding]:
     low = -np.inf if limit.low is None else limit.low
     high = np.inf if limit.high is None else limit.high
-    span = high - low if np.isfinite(high - low) else max(abs(x) for x in (low, high) if np.isfinite(x)) \
-        if np.isfinite(low) or np.isfinite(high) else 0.0
+    known = [abs(edge) for edge in (low, high) if np.isfinite(edge)]
+    span = high - low if len(known) == 2 else max(known, default=0.0)
     slack = contract.thresholds.limit_share * span
     outside = np.maximum(low - slack - values, values - high - slack)
     outside = np.where(np.isfinite(outside), outside, -np.inf)
     row = int(outside.argmax()) if outside.size else 0
     if outside.size and outside[row] > 0:
         edge = low if values[row] < low else high
-        yield Finding(check="limits", what=f"{name} is {values[row]:.4g} {limit.unit}, its limit {edge:.4g}".replace("  ", " "),
+        yield Finding(check="limits", what=f"{name} is {values[row]:.4g} {limit.unit or 'units'}, its limit {edge:.4g}",
                       where=f"{reference} {name}", at_s=_at(signals, topic, row), frame=row, value=float(values[row]),
                       limit=float(edge), mend="look at the joint's zero and scale, or set limits in the contract")
 
 
-def _too_fast(signals: Signals, topic: Topic, reference: str, name: str, values: np.ndarray, limit: Limit,
+def _too_fast(signals: Signals, topic: Topic, reference: str, name: str, values: Rows, limit: Limit,
               contract: Contract) -> Iterator[Finding]:
     if limit.speed is None or len(values) < 2:
         return
@@ -71,9 +71,10 @@ def _too_fast(signals: Signals, topic: Topic, reference: str, name: str, values:
     speeds = np.where(np.isfinite(speeds), speeds, 0.0)
     row = int(speeds.argmax())
     if speeds[row] > limit.speed * (1 + contract.thresholds.limit_share):
-        yield Finding(check="limits", what=f"{name} moves at {speeds[row]:.4g} {limit.unit}/s, its limit {limit.speed:.4g}",
-                      where=f"{reference} {name}", at_s=_at(signals, topic, row), frame=row, value=float(speeds[row]),
-                      limit=limit.speed, mend="look for jumps of the encoder, or set limits.*.speed in the contract")
+        yield Finding(check="limits", what=f"{name} moves at {speeds[row]:.4g} {limit.unit or 'units'}/s, its limit "
+                      f"{limit.speed:.4g}", where=f"{reference} {name}", at_s=_at(signals, topic, row), frame=row,
+                      value=float(speeds[row]), limit=limit.speed,
+                      mend="look for jumps of the encoder, or set limits.*.speed in the contract")
 
 
 def units(signals: Signals, contract: Contract) -> Iterator[Finding]:
@@ -98,9 +99,9 @@ def units(signals: Signals, contract: Contract) -> Iterator[Finding]:
             at = both.pair.measured if spread[0][column] > spread[1][column] else both.pair.commanded
             told_already = {(both.pair.measured, name), (both.pair.commanded, name)} & told
             if small > 1e-3 and abs(large / small / factor - 1) < NEAR and not told_already:
-                yield Finding(check="units", what=f"{name} looks like {wrong}: it moves {large / small:.0f} times as far "
-                              f"as in {both.pair.commanded if at == both.pair.measured else both.pair.measured}",
-                              where=f"{at} {name}", value=large / small, limit=1.0,
+                other = both.pair.commanded if at == both.pair.measured else both.pair.measured
+                yield Finding(check="units", what=f"{name} looks like {wrong}: it moves {large / small:.0f} times as "
+                              f"far as in {other}", where=f"{at} {name}", value=large / small, limit=1.0,
                               mend="convert it when it is recorded or ingested (unit: deg_to_rad, mm_to_m)")
 
 

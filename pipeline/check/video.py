@@ -47,8 +47,7 @@ def _ticks(signals: Signals) -> Iterator[Finding]:
 
 
 def _every_tick(sequence: NDArray[np.int64]) -> bool:
-    steps = np.diff(sequence)
-    return bool(np.mean(steps == 1) > 0.8)
+    return np.count_nonzero(np.diff(sequence) == 1) > 0.8 * (len(sequence) - 1)
 
 
 def _holes(signals: Signals, camera: Camera, contract: Contract) -> Iterator[Finding]:

@@ -29,7 +29,8 @@ def checked(store: Reader, subject: str | None) -> dict[str, str]:
     if verdict is None:
         return {}
     told = "passed" if verdict.passed else f"FAILED: {verdict.reason}"
-    return {"check": f"{told}; {len(verdict.checks)} checks, contract {verdict.contract[:12]}, code {verdict.code[:12]}"}
+    by = f"{len(verdict.checks)} checks, contract {verdict.contract[:12]}, code {verdict.code[:12]}"
+    return {"check": f"{told}; {by}"}
 
 
 def foreign(store: Reader, episodes: Iterable[Episode], full: bool) -> dict[str, str]:

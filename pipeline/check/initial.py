@@ -1,0 +1,91 @@
+"""A first contract, written from good logs."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import yaml
+
+from pipeline.check.contract import completed, number
+from pipeline.check.motion import unit_of
+from pipeline.check.signals import Column, Rows, Signals, Subject
+from pipeline.check.swapped import fingerprint
+from pipeline.recording.dialect import FRAME_TOPICS
+from schemas.contract import CameraRule, Contract, Evaluation, Limit, TopicRule
+
+
+def from_log(subject: Subject, *, name: str = "default") -> Contract:
+    """A contract that a good log keeps, with room for what the next good log does otherwise.
+
+    Rates are those seen, gaps and jitter twice what was seen, limits what was seen and a tenth of its range,
+    speeds half as much again; cameras get their fingerprint. Offsets between clocks are not taken over.
+    """
+    own = completed(Contract(name=name), subject)
+    topics: dict[str, TopicRule] = {}
+    cameras: dict[str, CameraRule] = {}
+    limits: dict[str, dict[str, Limit]] = {}
+    for signals in subject.recordings:
+        for topic in signals.topics.values():
+            topics.setdefault(topic.name, _rule(signals, topic.name))
+        for camera in signals.cameras.values():
+            if len(camera.thumbs):
+                cameras.setdefault(camera.name, CameraRule(width=camera.size[0] or None, height=camera.size[1] or None,
+                                                           fingerprint=fingerprint(camera)))
+    for pair in own.motion:
+        for reference in (pair.measured, pair.commanded) if pair.kind == "target" else ():
+            seen = [(f[0].seconds, f[2]) for s in subject.recordings if (f := s.find(reference)) is not None]
+            if seen:
+                limits[reference] = _seen(reference, seen, own.limits.get(reference, {}))
+    evaluation = own.evaluation or _same_as(subject)
+    return own.model_copy(update={"topics": topics, "cameras": cameras, "limits": limits, "evaluation": evaluation})
+
+
+def _rule(signals: Signals, name: str) -> TopicRule:
+    topic = signals.topics[name]
+    if not topic.steady or topic.tabled:
+        return TopicRule(type=topic.type or None, required=topic.tabled or name in FRAME_TOPICS)
+    steps = np.diff(topic.log_ns) / 1e9
+    off = float(np.quantile(np.abs(steps - topic.period_s), 0.95))
+    span = (int(topic.log_ns[-1]) - int(topic.log_ns[0])) / 1e9
+    return TopicRule(type=topic.type or None, rate_hz=_tidy((len(topic) - 1) / span),
+                     max_gap_s=_tidy(max(2 * float(steps.max()), 3 * topic.period_s)),
+                     jitter_s=_tidy(max(2 * off, topic.period_s / 4)),
+                     required=not name.startswith(("/policy/", "/reward/")))
+
+
+def _seen(reference: str, seen: Sequence[tuple[Rows, Column]], known: Mapping[str, Limit]) -> dict[str, Limit]:
+    names = seen[0][1].names
+    found: dict[str, Limit] = {}
+    for k, column in enumerate(names):
+        alike = [(t, c.rows[:, k]) for t, c in seen if c.names == names]
+        values = [v for _, v in alike]
+        low, high = min(float(np.nanmin(v)) for v in values), max(float(np.nanmax(v)) for v in values)
+        room = max(0.1 * (high - low), 1e-3)
+        steps = [np.abs(np.diff(v)) / np.maximum(np.diff(t), 1e-9) for t, v in alike]
+        speed = max((float(np.nanmax(s)) for s in steps if s.size), default=0.0)
+        given = known.get(column, Limit())
+        found[column] = Limit(
+            low=_tidy(low - room) if given.low is None else given.low,
+            high=_tidy(high + room) if given.high is None else given.high,
+            speed=given.speed or (_tidy(1.5 * speed) if speed > 0 else None),
+            unit=given.unit or unit_of(column, Contract(), reference))
+    return found
+
+
+def _same_as(subject: Subject) -> Evaluation | None:
+    """Robot, task and rate as the log names them."""
+    record = next((s.metadata.get("episode", {}) for s in subject.recordings), dict[str, str]())
+    hz = number(record.get("control_hz"))
+    if not record.get("robot"):
+        return None
+    return Evaluation(robot=record["robot"], task=record.get("task"), control_hz=hz)
+
+
+def _tidy(value: float) -> float:
+    """Four digits: nobody needs more of a limit."""
+    return float(f"{value:.4g}")
+
+
+def to_yaml(contract: Contract) -> str:
+    """The contract as a person edits it: what is at its default is left out."""
+    content = contract.model_dump(mode="json", exclude_defaults=True)
+    return yaml.safe_dump({"name": contract.name, **content}, sort_keys=False, allow_unicode=True, width=120)
