@@ -149,7 +149,8 @@ class LogReader:
         if not (proof.counts and proof.places):
             self._problems.add("no CRC over the data and no sound summary: missing data would not be seen", 0,
                                "unproven")
-        if tally.metadata or (declared.outside and not (proof.crc and proof.declarations)):
+        confirmed = proof.crc and proof.declarations >= declared.schemas + len(declared.channels)
+        if tally.metadata or (declared.outside and not confirmed):
             self._problems.add("metadata or channels without a CRC: damage would not be seen", 0, "unproven")
 
     def _unproven_data(self, section: Section) -> None:
