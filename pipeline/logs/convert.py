@@ -122,7 +122,7 @@ class _Reading:
                 raise ConfigError(f"topic {intake.topic}, required by map {self._asked.name!r}, cannot be decoded: "
                                      f"{use.reason}", where=log, mend="leave it out of the map; the log stays as it is")
             if isinstance(intake, StateIntake) and intake.spool is None:
-                raise _no_values(intake, log)
+                raise _no_values(intake, use, log)
 
     def _wanted(self, channel: Channel) -> bool:
         try:
@@ -144,8 +144,9 @@ class _Reading:
                         messages=reader.counts.get(channel.number, 0), use=use, reason=failed, left_out=left_out)
 
 
-def _no_values(intake: StateIntake, log: Path) -> ConfigError:
-    reasons = "; ".join(f"{reason} ({n} messages)" for reason, n in intake.refused.most_common(3))
+def _no_values(intake: StateIntake, use: TopicUse, log: Path) -> ConfigError:
+    most = sorted(use.left_out.items(), key=lambda item: -item[1])[:3]
+    reasons = "; ".join(f"{reason} ({n} messages)" for reason, n in most)
     fields = ", ".join(sorted(intake.taker.seen)[:_LISTED])
     mend = f"its number fields are: {fields}" if fields else EXAMPLE
     return ConfigError(f"{intake.feature}: no message of {intake.topic} has the values asked for: {reasons}",
