@@ -1,4 +1,4 @@
-"""Converting logs of other people on one core: state in CDR, in small chunks and in JSON, cameras; memory on a large one.
+"""Converting logs of other people on one core: CDR, small chunks, JSON, cameras; memory on a large one.
 
 A log goes through everything that `hardcase ingest` does in its child: read and checked, decoded, spooled, resampled,
 written. Beside it what a user would write instead: the loop over rosbags' deserialised messages that fills the same
