@@ -17,7 +17,7 @@ from pipeline.files import sync_folder
 from pipeline.recording import cdr
 from pipeline.recording.live_file import LiveFile
 from pipeline.recording.live_header import START, segments_of, start_metadata
-from pipeline.recording.live_part import open_part, steady_clock
+from pipeline.recording.live_part import checked_topic, open_part, steady_clock, stopped
 from pipeline.recording.live_rows import Row, RowLayout, TickLayout, Vector
 from pipeline.recording.live_writer import QUEUE_BYTES, Body, Item, LiveWriter, close_quietly, write_all
 from pipeline.recording.metadata import NAME, episode_metadata
@@ -40,10 +40,6 @@ class Closed:
     """With the file's sha256 as its blob."""
     dropped: Mapping[str, int]
     """Topic -> messages that were lost because the disk was slower than the robot; "tick" counts whole ticks."""
-
-
-_OVERHEAD = 200
-"""What a message takes in the queue besides its numbers [B]."""
 
 
 class LiveRecorder:
@@ -79,6 +75,7 @@ class LiveRecorder:
         self._episode, self._software, self._layout = episode, dict(software or {}), layout
         self._consent = consent
         self._clock = clock or steady_clock()
+        self._topics = set[str]()
         self._numbered = self._closed = False
         first = episode.segments[0]
         self._starts: list[tuple[int, str, str]] = [(0, first.kind, first.actor)]
@@ -135,6 +132,8 @@ class LiveRecorder:
             tick: its sequence number; the tick that comes next where None.
             stamp_ns: publish time [ns]; now where None.
         """
+        if topic not in self._topics:
+            self._topics.add(checked_topic(topic, self.path))
         return self._put(topic, payload, len(payload), tick, stamp_ns)
 
     def image(self, camera: str, picture: NDArray[np.uint8] | bytes, *, tick: int | None = None,
@@ -237,7 +236,7 @@ class LiveRecorder:
                 raise RecordingError("no tick was recorded", where=self.path, mend="record at least one tick")
             with named(self.path):
                 if self._writer.error is not None:
-                    raise self._writer.error
+                    raise stopped(self._writer.error, self.path)
                 return self._finish(outcome or Outcome(label="unknown", judged_by="operator"), segments)
         finally:
             close_quietly(self._handle)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from pipeline.errors import RecordingError
+from pipeline.recording.dialect import TOPICS, every_tick, topic_type
 from pipeline.recording.live_writer import close_quietly
 from pipeline.recording.write import leave_reserve, lock, part_of
 
@@ -35,3 +36,22 @@ def open_part(path: Path, reserve_bytes: int) -> int:
         close_quietly(handle)
         raise
     return handle
+
+
+def checked_topic(topic: str, where: object) -> str:
+    """The topic, or RecordingError: not of the dialect, or one of those that `tick` writes."""
+    try:
+        topic_type(topic)
+    except KeyError:
+        raise RecordingError(f"topic {topic} is not of the dialect", where=where,
+                             mend=f"use one of: {', '.join(TOPICS)}") from None
+    if every_tick(topic):
+        raise RecordingError(f"topic {topic} is written once a tick", where=where, mend="give it to LiveRecorder.tick")
+    return topic
+
+
+def stopped(error: Exception, path: Path) -> RecordingError:
+    """The error of a recording that ended before its time: what was written is kept."""
+    reason = os.strerror(error.errno or 0) if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
+    return RecordingError(f"recording stopped: {reason}", where=part_of(path),
+                          mend=f"free space or check the disk; what was written is kept by: hardcase recover {path.parent}")

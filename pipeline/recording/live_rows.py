@@ -43,6 +43,8 @@ class Row:
     """x, y, z [m], qw, qx, qy, qz in the world, shape (len(links), 7)."""
     reward: Mapping[str, float] = field(default_factory=dict[str, float])
     """Reward term -> value."""
+    shadows: Mapping[str, tuple[Vector, float]] = field(default_factory=dict[str, tuple[Vector, float]])
+    """Policy that may not act -> joint targets it asked for, shape (7,), and its disagreement; see trace.Shadow."""
     sim_state: Vector = field(default_factory=_NONE.copy)
     """mjSTATE_INTEGRATION before the action of the tick, shape (nstate,)."""
     controller: Vector = field(default_factory=_NONE.copy)
@@ -50,14 +52,16 @@ class Row:
 
     def vector(self) -> Vector:
         """Every number in one new array: the caller may go on writing into its own."""
+        shadows = [np.append(asked, apart) for asked, apart in self.shadows.values()]
         return np.concatenate([
             self.state, self.environment, self.action, self.joint_action, self.joint_velocity, self.joint_effort,
-            self.link_poses.reshape(-1), [*self.reward.values()], self.sim_state, self.controller], dtype=np.float64)
+            self.link_poses.reshape(-1), [*self.reward.values()], *shadows, self.sim_state, self.controller],
+            dtype=np.float64)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Links and rewards, which may not change from tick to tick."""
-        return (*self.links, *self.reward)
+        """Links, rewards and shadows, which may not change from tick to tick."""
+        return (*self.links, *self.reward, *self.shadows)
 
 
 class TickLayout:
@@ -78,7 +82,7 @@ class TickLayout:
             floats += [payload + at + 8 * k for at, count in layout.floats for k in range(count)]
         self.topics = tuple(topic for topic, _, _ in columns)
         self.names: tuple[str, ...] = ()
-        """Links and rewards of the arm's ticks."""
+        """Links, rewards and shadows of the arm's ticks."""
         self._template = np.frombuffer(bytes(template), np.uint8).copy()
         self._head_bytes = _spread(np.array(self._heads, np.intp) + 11, 20)
         self._stamp_bytes = _spread(np.array(stamps, np.intp), 8)
@@ -137,9 +141,9 @@ class RowLayout(TickLayout):
     def __init__(self, row: Row, where: object) -> None:
         check_row(row, where)
         sizes = [16, 7, 5, 7, len(row.joint_velocity), len(row.joint_effort), row.link_poses.size, len(row.reward),
-                 len(row.sim_state), len(row.controller)]
+                 8 * len(row.shadows), len(row.sim_state), len(row.controller)]
         edges = list(accumulate(sizes, initial=0))
-        state, seen, action, sent, velocity, effort, poses, rewards, sim, memory = (
+        state, seen, action, sent, velocity, effort, poses, rewards, shadows, sim, memory = (
             np.arange(a, b, dtype=np.intp) for a, b in pairwise(edges))
         self._yaw = int(seen[3])
         zero, sine, cosine, one = (edges[-1] + k for k in range(4))
@@ -158,6 +162,10 @@ class RowLayout(TickLayout):
             columns.append(("/tf", cdr.tf_message(row.links), xyzw.reshape(-1)))
         columns += [(f"/reward/{term}", cdr.float64(), [int(at)])
                     for term, at in zip(row.reward, rewards, strict=True)]
+        for policy, own in zip(row.shadows, shadows.reshape(-1, 8), strict=True):
+            asked = cdr.joint_state(JOINT_NAMES, velocity=False, effort=False)
+            columns += [(f"/policy/{policy}/joint_commands", asked, own[:7]),
+                        (f"/policy/{policy}/disagreement", cdr.float64(), own[7:])]
         if len(sim):
             columns += [_array("/sim/state", "mjSTATE_INTEGRATION", sim),
                         _array("/sim/controller", "controller", memory)]

@@ -11,6 +11,8 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 
 from pipeline.recording import write_episode
+from pipeline.recording.live_header import beginning
+from pipeline.recording.live_rows import Row
 from pipeline.trace import Event, Shadow, Trace
 from schemas.episode import Episode, Outcome, Segment
 from schemas.scene import Draw, SceneSpec
@@ -77,6 +79,41 @@ def episode():
 @pytest.fixture(scope="session")
 def attachments():
     return dict(ATTACHMENTS)
+
+
+@pytest.fixture(scope="session")
+def start():
+    """What a live recording knows when it begins."""
+    def make(**other) -> Episode:
+        known = {"id": "00112233445566aa", "origin": "scripted", "scene": make_episode().scene, "control_hz": 20.0,
+                 "generation": 0, "actor": "expert"}
+        return beginning(**known | other)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def row():
+    """One tick of a trace, as a robot hands it to the recorder."""
+    def make(trace: Trace, tick: int) -> Row:
+        return Row(trace.state[tick], trace.environment[tick], trace.action[tick], trace.joint_action[tick],
+                   trace.joint_velocity[tick], trace.joint_effort[tick], trace.links, trace.link_poses[tick],
+                   {term: float(values[tick]) for term, values in trace.reward.items()},
+                   {name: (s.joint_commands[tick], float(s.disagreement[tick])) for name, s in trace.shadows.items()},
+                   trace.sim_state[tick], trace.controller[tick])
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def bare_row():
+    """One tick of a real robot: no simulator, no true poses, no measured velocity."""
+    def make(trace: Trace, tick: int, **other) -> Row:
+        own = Row(trace.state[tick], trace.environment[tick], trace.action[tick], trace.joint_action[tick],
+                  joint_effort=trace.joint_effort[tick])
+        return dataclasses.replace(own, **other)
+
+    return make
 
 
 @pytest.fixture(scope="session")
