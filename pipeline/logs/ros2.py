@@ -41,34 +41,35 @@ class Ros2Decoder:
         for layout in self._known:
             if todo.size:
                 todo = _take(layout, batch, todo, parts, bad)
-        alone, single = 0, dict[bool, list[tuple[int, Layout]]]()
+        alone, single = 0, dict[bool, list[tuple[int, Walk]]]()
         while todo.size:
             row = int(todo[0])
             try:
-                layout = self._walk(bytes(batch.payload(row)))
+                walk = self._walk(bytes(batch.payload(row)))
             except ValueError as error:
                 bad.append((row, str(error)))
                 todo = todo[1:]
                 continue
             if alone < MAX_ALONE:
+                layout = walk.layout()
                 rest = _take(layout, batch, todo, parts, bad)
                 alone += rest.size == todo.size - 1
                 self._known = [layout, *self._known[: MAX_KNOWN - 1]]
             else:
-                single.setdefault(layout.big, []).append((row, layout))
+                single.setdefault(walk.big, []).append((row, walk))
                 rest = todo[1:]
             todo = rest
         parts += [each(batch, found, bad) for found in single.values()]
         rows, columns = merge([part for part in parts if part[0].size])
         return columns.fields(rows, bad)
 
-    def _walk(self, payload: bytes) -> Layout:
+    def _walk(self, payload: bytes) -> Walk:
         try:
-            return Walk(self._plan, payload).layout()
+            return Walk(self._plan, payload)
         except ValueError:
             if not any(leaf.kind == "wide" for leaf in self._plan.leaves):
                 raise
-            return Walk(self._plan, payload, wide=2).layout()  # no standard says how wide; both are in use
+            return Walk(self._plan, payload, wide=2)  # no standard says how wide; both are in use
 
 
 def _take(layout: Layout, batch: "Batch", todo: Rows, parts: list[tuple[Rows, Columns]],

@@ -1,6 +1,7 @@
 """The columns of ROS 2 messages that are laid out alike."""
 
 from collections.abc import Iterable, Sequence
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -8,7 +9,7 @@ from numpy.typing import NDArray
 
 from pipeline.logs.columns import Columns, Rows
 from pipeline.logs.fields import Numbers
-from pipeline.logs.ros2_layout import SLACK, Kind, Layout, Leaf
+from pipeline.logs.ros2_layout import SLACK, Kind, Layout, Leaf, Walk
 
 if TYPE_CHECKING:
     from pipeline.logs.batch import Batch
@@ -141,7 +142,7 @@ def _column(leaf: Leaf, data: NDArray[np.uint8], *, big: bool) -> Numbers:
     return column[:, 0::2].view(np.int32).astype(np.int64) * _NS + column[:, 1::2]
 
 
-def _text(layout: Layout, kind: Kind, data: bytes) -> str:
+def _text(layout: Layout | Walk, kind: Kind, data: bytes) -> str:
     if kind == "wide":
         return data.decode(f"utf-{8 * layout.wide}-{'be' if layout.big else 'le'}")
     if data and data[-1]:
@@ -149,21 +150,23 @@ def _text(layout: Layout, kind: Kind, data: bytes) -> str:
     return data[:-1].decode()
 
 
-def each(batch: "Batch", found: Sequence[tuple[int, Layout]], bad: list[tuple[int, str]]) -> tuple[Rows, Columns]:
+def each(batch: "Batch", found: Sequence[tuple[int, Walk]], bad: list[tuple[int, str]]) -> tuple[Rows, Columns]:
     """Columns of messages that are laid out each in its own way, read one by one; all of one byte order."""
-    data = memoryview(batch.data)
-    good: list[tuple[int, Layout]] = []
-    texts: list[list[tuple[str, ...]]] = []
     plan, big = found[0][1].plan, found[0][1].big
     wordy = [k for k, leaf in enumerate(plan.leaves) if leaf.kind in ("text", "wide")]
-    for row, layout in found:
-        start = int(batch.starts[row])
+    good: list[tuple[memoryview, Walk]] = []
+    rows: list[int] = []
+    texts: list[list[tuple[str, ...]]] = []
+    for row, walk in found:
+        data = batch.payload(row)
         try:
-            texts.append([tuple([_text(layout, plan.leaves[k].kind, bytes(data[start + at : start + at + size]))
-                                 for at, size in layout.runs[k]]) for k in wordy])
-            good.append((row, layout))
+            texts.append([tuple([_text(walk, plan.leaves[k].kind, bytes(data[at : at + size]))
+                                 for at, size in walk.runs[k]]) for k in wordy])
         except ValueError as error:
             bad.append((row, str(error)))
+            continue
+        rows.append(row)
+        good.append((data, walk))
     columns = Columns(times=plan.times)
     for place, k in enumerate(wordy):
         if plan.leaves[k].many:
@@ -171,16 +174,18 @@ def each(batch: "Batch", found: Sequence[tuple[int, Layout]], bad: list[tuple[in
         else:
             columns.texts[plan.leaves[k].path] = [lines[place][0] for lines in texts]
     for k, leaf in enumerate(plan.leaves):
-        if leaf.kind not in ("blob", "number", "time"):
-            continue
-        pieces = [b"".join([data[start + at : start + at + size] for at, size in layout.runs[k]])
-                  for start, layout in [(int(batch.starts[row]), layout) for row, layout in good]]
-        if leaf.kind == "blob":
-            columns.blobs[leaf.path] = list(map(memoryview, pieces))
-            continue
-        flat = _column(leaf, np.frombuffer(b"".join(pieces), np.uint8)[None], big=big)[0]
-        if leaf.many:
-            columns.split(leaf.path, flat, [len(piece) // leaf.size for piece in pieces])
-        else:
-            columns.values[leaf.path] = flat
-    return np.array([row for row, _ in good], np.intp), columns
+        if leaf.kind in ("blob", "number", "time"):
+            _join(columns, leaf, [[data[at : at + size] for at, size in walk.runs[k]] for data, walk in good], big=big)
+    return np.array(rows, np.intp), columns
+
+
+def _join(columns: Columns, leaf: Leaf, pieces: Sequence[Sequence[memoryview]], *, big: bool) -> None:
+    """Add the column of one leaf, whose bytes are given in pieces for each message."""
+    if leaf.kind == "blob":
+        columns.blobs[leaf.path] = [p[0] if len(p) == 1 else memoryview(b"".join(p)) for p in pieces]
+        return
+    flat = _column(leaf, np.frombuffer(b"".join(chain.from_iterable(pieces)), np.uint8)[None], big=big)[0]
+    if leaf.many:
+        columns.split(leaf.path, flat, [sum(map(len, p)) // leaf.size for p in pieces])
+    else:
+        columns.values[leaf.path] = flat

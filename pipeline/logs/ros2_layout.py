@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import RecordingError
-from pipeline.logs.ros2_types import PRIMITIVES, TEXTS, TIMES, Count, Types
+from pipeline.logs.ros2_types import MEND, PRIMITIVES, TEXTS, TIMES, Count, Types
 
 START = 4
 """Bytes of the encapsulation header."""
@@ -42,10 +42,8 @@ class Leaf:
     many: bool
     """In a sequence or array, or below one."""
 
-    @property
-    def size(self) -> int:
-        """Bytes of one value."""
-        return 8 if self.kind == "time" else 1 if self.dtype == "?" else int(self.dtype[1])
+    size: int
+    """Bytes of one value."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,29 +72,31 @@ def compile_type(name: str, types: Types, where: object) -> Plan:
     """Compile a type and all that it holds.
 
     Raises:
-        RecordingError: a type holds itself, or more than MAX_LEAVES fields.
+        RecordingError: a type holds itself, an array of nothing, or more than MAX_LEAVES fields.
     """
     leaves: list[Leaf] = []
 
     def step(path: str, kind: str, count: Count, many: bool, above: tuple[str, ...]) -> Step:
         many = many or count != "one"
+        if count == 0:
+            raise RecordingError(f"{path} is an array of no elements", where=where, mend=MEND)
         if kind not in PRIMITIVES and kind not in TEXTS and kind not in TIMES:
             inner = inside(kind, f"{path}.", many, above)
             return Step(-1, inner, count, sum(_least(s) for s in inner))
         if len(leaves) >= MAX_LEAVES:
-            raise RecordingError(f"{name} has more than {MAX_LEAVES} fields", where=where,
-                                 mend="leave the topic out of the map")
+            raise RecordingError(f"{name} has more than {MAX_LEAVES} fields", where=where, mend=MEND)
         dtype = PRIMITIVES.get(kind, "u1")
         what: Kind = ("time" if kind in TIMES else "text" if kind == "string" else "wide" if kind == "wstring"
                       else "blob" if count == "many" and kind in ("uint8", "byte", "char") else "number")
-        leaves.append(Leaf(path, what, "?" if kind == "bool" else dtype, many))
-        return Step(len(leaves) - 1, (), count, {"number": int(dtype[1]), "blob": 1, "time": 8}.get(what, 4))
+        size = 8 if what == "time" else int(dtype[1])
+        leaves.append(Leaf(path, what, "?" if kind == "bool" else dtype, many, size))
+        return Step(len(leaves) - 1, (), count, 4 if what in ("text", "wide") else size)
 
     def inside(kind: str, prefix: str, many: bool, above: tuple[str, ...]) -> tuple[Step, ...]:
         if kind in above:
-            raise RecordingError(f"{kind} holds itself", where=where, mend="leave the topic out of the map")
+            raise RecordingError(f"{kind} holds itself", where=where, mend=MEND)
         if not types[kind]:  # ROS 2 gives an empty type one byte, since IDL wants a member
-            leaves.append(Leaf(prefix, "skip", "u1", many))
+            leaves.append(Leaf(prefix, "skip", "u1", many, 1))
             return (Step(len(leaves) - 1, (), "one", 1),)
         return tuple(step(prefix + m.name, m.kind, m.count, many, (*above, kind)) for m in types[kind])
 
@@ -144,48 +144,49 @@ class Layout:
 
 
 class Walk:
-    """Reads one payload from its start to its end and notes where everything is; ValueError where it does not fit."""
+    """Reads one payload from its start to its end and notes where everything is.
+
+    Raises:
+        ValueError: the payload does not fit the type.
+    """
 
     def __init__(self, plan: Plan, payload: bytes, wide: int = 4) -> None:
         kind = int.from_bytes(payload[:2], "big") if len(payload) >= START else -1
         if kind not in (0, 1):
             name = _ENCAPSULATIONS.get(kind, "no CDR")
             raise ValueError(f"payload starts with {payload[:4].hex() or 'nothing'} ({name}), only plain CDR is read")
-        self._plan, self._payload, self._wide, self._big = plan, payload, wide, kind == 0
-        self._count = struct.Struct(">I" if self._big else "<I").unpack_from
+        self.plan, self.wide, self.big = plan, wide, kind == 0
+        self.runs: list[list[tuple[int, int]]] = [[] for _ in plan.leaves]
+        """Leaf -> (offset, bytes) of its runs."""
+        self._payload, self._count = payload, struct.Struct(">I" if self.big else "<I").unpack_from
         self._at, self._left, self._size = START, MAX_RUNS, len(payload)
-        self._runs: list[list[tuple[int, int]]] = [[] for _ in plan.leaves]
         self._lengths: list[int] = []
         self._last = -1
-
-    def layout(self) -> Layout:
-        """Walk all steps; the payload must end where they end."""
-        self._steps(self._plan.steps)
+        self._steps(plan.steps)
         if not 0 <= self._size - self._at <= SLACK:
             raise ValueError(f"{self._size - self._at} B are left after the last field, which ends at byte {self._at}")
+
+    def layout(self) -> Layout:
+        """What another payload must share to be laid out like this one."""
         tail = self._tail()
-        stops = [at for k, (leaf, runs) in enumerate(zip(self._plan.leaves, self._runs, strict=True))
+        stops = [at for k, (leaf, runs) in enumerate(zip(self.plan.leaves, self.runs, strict=True))
                  if leaf.kind == "blob" or k == tail for at, _ in runs]
         head = min([self._at, *stops])
         lengths = self._lengths[:-1] if tail >= 0 else self._lengths
-        return Layout(self._plan, self._big, self._wide, tuple(map(tuple, self._runs)),
+        return Layout(self.plan, self.big, self.wide, tuple(map(tuple, self.runs)),
                       tuple((at, self._payload[at : at + 4]) for at in lengths), self._at, self._payload[:head], tail)
 
     def _tail(self) -> int:
         """The last leaf, if it is one text or blob that nothing follows."""
-        if self._last < 0 or self._plan.leaves[self._last].kind not in ("text", "blob"):
+        if self._last < 0 or self.plan.leaves[self._last].kind not in ("text", "blob"):
             return -1
-        runs = self._runs[self._last]
+        runs = self.runs[self._last]
         alone = len(runs) == 1 and sum(runs[0]) == self._at and self._lengths[-1] == runs[0][0] - 4
         return self._last if alone else -1
 
-    def _align(self, size: int) -> int:
-        self._at += -(self._at - START) % size
-        return self._at
-
     def _length(self, least: int) -> int:
         """A count, which the rest of the payload must have room for."""
-        at = self._align(4)
+        at = self._at + -(self._at - START) % 4
         if at + 4 > self._size:
             raise ValueError(f"a count at byte {at} is cut off, the payload has {self._size} B")
         (count,) = self._count(self._payload, at)
@@ -200,41 +201,48 @@ class Walk:
 
     def _steps(self, steps: tuple[Step, ...]) -> None:
         for step in steps:
-            count = self._length(step.least) if step.count == "many" else 1 if step.count == "one" else step.count
-            self._room(count, step.least)
+            count = step.count
+            if count == "many":
+                count = self._length(step.least)
+            elif count == "one":
+                count = 1
+            else:
+                self._room(count, step.least)
             if step.leaf < 0:
                 for _ in range(count):
+                    self._spend()
                     self._steps(step.inner)
-            elif self._plan.leaves[step.leaf].kind in ("text", "wide"):
+                continue
+            leaf = self.plan.leaves[step.leaf]
+            if leaf.kind == "text" or leaf.kind == "wide":
                 for _ in range(count):
-                    self._text(step.leaf)
+                    self._text(step.leaf, leaf)
             else:
-                self._numbers(step.leaf, count)
+                if count and leaf.size > 1:
+                    self._at += -(self._at - START) % (4 if leaf.kind == "time" else leaf.size)
+                self._run(step.leaf, leaf, count * leaf.size)
 
-    def _text(self, leaf: int) -> None:
-        wide = self._plan.leaves[leaf].kind == "wide"
-        size = self._length(self._wide if wide else 1) * (self._wide if wide else 1)
-        if not wide and size and self._payload[self._at + size - 1]:
+    def _text(self, number: int, leaf: Leaf) -> None:
+        width = self.wide if leaf.kind == "wide" else 1
+        size = self._length(width) * width
+        if width == 1 and size and self._payload[self._at + size - 1]:
             raise ValueError(f"the text at byte {self._at} has no closing zero byte")
-        self._run(leaf, size)
+        self._run(number, leaf, size)
 
-    def _numbers(self, leaf: int, count: int) -> None:
-        kind = self._plan.leaves[leaf]
-        size = kind.size
-        if count:
-            self._align(4 if kind.kind == "time" else size)
-        self._run(leaf, count * size)
-
-    def _run(self, leaf: int, size: int) -> None:
+    def _spend(self) -> None:
         self._left -= 1
         if self._left < 0:
             raise ValueError(f"more than {MAX_RUNS} separate fields")
-        if self._at + size > self._size:
-            raise ValueError(f"field of {size} B at byte {self._at} of a payload of {self._size} B")
-        runs = self._runs[leaf]
-        if runs and sum(runs[-1]) == self._at and self._plan.leaves[leaf].kind in ("number", "time", "blob"):
+
+    def _run(self, number: int, leaf: Leaf, size: int) -> None:
+        self._spend()
+        at = self._at
+        if at + size > self._size:
+            raise ValueError(f"field of {size} B at byte {at} of a payload of {self._size} B")
+        runs = self.runs[number]
+        if runs and leaf.kind in ("number", "time", "blob") and sum(runs[-1]) == at:
             runs[-1] = (runs[-1][0], runs[-1][1] + size)
         else:
-            runs.append((self._at, size))
-        self._at += size
-        self._last = leaf
+            runs.append((at, size))
+        self._at = at + size
+        self._last = number

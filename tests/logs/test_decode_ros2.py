@@ -114,8 +114,13 @@ def test_a_message_that_does_not_fit_is_named_and_the_others_go_on(payload, reas
     assert reason in why
 
 
-def test_a_count_of_billions_costs_no_memory(channel_of, batch_of):
-    channel = channel_of("p/msg/T", "T2[] many\n" + f"{SEPARATOR}\nMSG: p/T2\nfloat64[4000000000] x\nstring[] s\n")
+@pytest.mark.parametrize("fields", [
+    f"T2[] many\n{SEPARATOR}\nMSG: p/T2\nfloat64[4000000000] x\nstring[] s\n",
+    f"T2[4000000000] many\n{SEPARATOR}\nMSG: p/T2\nint8 x\n",
+    "string[] many",
+], ids=["of large elements", "declared", "of texts"])
+def test_a_count_of_billions_costs_no_memory_and_no_time(fields, channel_of, batch_of):
+    channel = channel_of("p/msg/T", fields)
     payload = b"\x00\x01\x00\x00" + struct.pack("<I", 0x7FFFFFFF) + bytes(1000)
     tracemalloc.start()
     fields = decoder(channel).decode(batch_of(channel, [payload] * 3))
@@ -170,8 +175,9 @@ def test_type_names_may_come_with_and_without_msg(name, inner, channel_of, batch
     ("other_msgs/Thing thing", "does not define"),
     ("float64 x\n9 is no field", "no field"),
     ("T again", "holds itself"),
+    ("float64[0] x", "array of no elements"),
     (f"B[] b\n{SEPARATOR}\nMSG: p/B\n" + "\n".join(f"float64 x{k}" for k in range(5000)), "more than 4096 fields"),
-], ids=["service", "unknown type", "prose", "recursive", "endless"])
+], ids=["service", "unknown type", "prose", "recursive", "no elements", "endless"])
 def test_a_schema_that_cannot_be_used_is_refused_with_a_mend(schema, reason, channel_of):
     with pytest.raises(RecordingError, match=rf"(?s){reason}.*at: +/topic.*mend: .*out of the map"):
         decoder(channel_of("p/msg/T", schema))
