@@ -82,7 +82,7 @@ def test_an_unknown_name_in_a_recipe_lists_the_valid_ones(hardcase, tmp_path, fi
         (("loop", "--recipe"), "option '--recipe' requires an argument", "every option: hardcase loop --help"),
         (("loop", "smoke"), "got unexpected extra argument(s) (smoke)", "every option: hardcase loop --help"),
         (("why",), "missing argument 'id'", "for example: hardcase why 3f9a1c2b"),
-        (("lop",), "no such command 'lop'", "did you mean 'loop'?"),
+        (("docter",), "no such command 'docter'", "did you mean 'doctor'?"),
         (("nonsense",), "no such command 'nonsense'", "every command: hardcase --help"),
         (("consent", "ad"), "no such command 'ad'", "did you mean 'add'?"),
         (("consent", "add", "--site", "x"), "missing option '--operator'", "hardcase consent add --operator ada"),
