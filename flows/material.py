@@ -93,7 +93,7 @@ class Material:
         return found
 
     def usable(self, episodes: Iterable[Episode]) -> list[Episode]:
-        """The episodes without those that failed their check or rest on a consent which has ended; the others may teach.
+        """The episodes that passed their check and do not rest on a consent which has ended: those that may teach.
 
         Raises:
             ConsentError: a person in an episode never consented.
