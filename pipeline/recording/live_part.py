@@ -54,4 +54,4 @@ def stopped(error: Exception, path: Path) -> RecordingError:
     """The error of a recording that ended before its time: what was written is kept."""
     reason = os.strerror(error.errno or 0) if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
     return RecordingError(f"recording stopped: {reason}", where=part_of(path),
-                          mend=f"free space or check the disk; what was written is kept by: hardcase recover {path.parent}")
+                          mend=f"free space or check the disk; keep what was written: hardcase recover {path.parent}")

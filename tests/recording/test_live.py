@@ -191,7 +191,7 @@ def test_nothing_at_all_leaves_no_file(tmp_path, start):
 
 
 @pytest.mark.parametrize(("call", "message"), [
-    (lambda r, row: r.write("/nothing", b""), r"topic /nothing is not of the dialect\n.*\n  mend: use one of: /robot_desc"),
+    (lambda r, row: r.write("/nothing", b""), r"topic /nothing is not of the dialect\n.*\n  mend: use one of: /rob"),
     (lambda r, row: r.write("/joint_states", b""), r"once a tick\n.*\n  mend: give it to LiveRecorder.tick"),
     (lambda r, row: r.image("front", np.zeros((4, 4), np.uint8)), r"uint8 of shape \(4, 4\)\n.*\n  mend: give RGB"),
     (lambda r, row: r.image("front", b"GIF89a"), r"bytes that are no JPEG\n.*\n  mend: give RGB"),
