@@ -21,12 +21,13 @@ if TYPE_CHECKING:
 
 MAX_FIELDS = 4096
 """Different paths of one batch: far above any robot's."""
+MAX_DEPTH = 32
+"""Objects and lists in each other, also of a schema."""
 ALONE = "data"
 """Path of the value where a message is no object."""
 _NS = 1_000_000_000
 _TIMES = ({"sec", "nsec"}, {"sec", "nanosec"}, {"secs", "nsecs"})
 _PICTURES = ("CompressedImage", "CompressedVideo", "Image", "PointCloud", "PointCloud2", "RawImage")
-_DEPTH = 32
 
 
 class _Absent:
@@ -55,19 +56,39 @@ class JsonDecoder:
         bad: dict[int, str] = {}
         for row in range(len(batch.starts)):
             try:
-                cells.append(json.loads(str(batch.payload(row), "utf-8")))
+                cells.append(_loaded(bytes(batch.payload(row))))
                 rows.append(row)
             except (ValueError, RecursionError) as error:
                 bad[row] = f"is no JSON: {error}"
+        columns, odd = self._columns(cells, rows)
+        if len(odd) == len(rows) > 1:  # one message may have spoilt it for all
+            odd = {row: why for cell, row in zip(cells, rows, strict=True)
+                   for why in self._columns([cell], [row])[1].values()}
+            cells = [cell for cell, row in zip(cells, rows, strict=True) if row not in odd]
+            rows = [row for row in rows if row not in odd]
+            bad |= odd
+            columns, odd = self._columns(cells, rows)
+        if odd:
+            columns = columns.keep(np.array([row not in odd for row in rows], np.bool_))
+            rows = [row for row in rows if row not in odd]
+        return columns.fields(np.array(rows, np.intp), (bad | odd).items())
+
+    def _columns(self, cells: Sequence[Any], rows: Sequence[int]) -> tuple[Columns, dict[int, str]]:
+        """The columns of some messages, and why some of them are none: message -> reason."""
         columns, table = Columns(), _Table(self._coded)
         try:
             table.add(columns, "", cells, rows)
-        except (ValueError, RecursionError) as error:
-            columns, table.odd = Columns(), dict.fromkeys(rows, str(error))
-        if table.odd:
-            columns = columns.keep(np.array([row not in table.odd for row in rows], np.bool_))
-            rows = [row for row in rows if row not in table.odd]
-        return columns.fields(np.array(rows, np.intp), (bad | table.odd).items())
+        except ValueError as error:
+            return Columns(), dict.fromkeys(rows, str(error))
+        return columns, table.odd
+
+
+def _loaded(payload: bytes) -> Any:
+    """The value of one message; ValueError where there is none, or its text has half a character."""
+    message = json.loads(payload.decode())
+    if b"\\ud" in payload or b"\\uD" in payload:  # a half can be written down only so
+        json.dumps(message, ensure_ascii=False).encode()
+    return message
 
 
 class _Table:
@@ -78,15 +99,21 @@ class _Table:
         self.odd: dict[int, str] = {}
         """Message -> why it does not fit the others."""
 
-    def add(self, columns: Columns, path: str, cells: Sequence[Any], owners: Sequence[int]) -> None:
-        """Add what lies at `path`; owners are the messages that the cells are of. ValueError on too many fields."""
+    def add(self, columns: Columns, path: str, cells: Sequence[Any], owners: Sequence[int], depth: int = 0) -> None:
+        """Add what lies at `path`; owners are the messages that the cells are of.
+
+        Raises:
+            ValueError: too many fields, or too deep ones.
+        """
         self._left -= 1
         if self._left < 0:
             raise ValueError(f"more than {MAX_FIELDS} different fields in one batch")
+        if depth > MAX_DEPTH:
+            raise ValueError(f"nested more than {MAX_DEPTH} deep")
         kind, cells = self._settle(path, cells, owners)
         name = path or ALONE
         if kind == "object":
-            self._object(columns, path, cells, owners)
+            self._object(columns, path, cells, owners, depth)
         elif kind and path in self._coded:
             columns.blobs[name] = [memoryview(self._bytes(path, *pair)) for pair in zip(cells, owners, strict=True)]
         elif kind == "number":
@@ -94,7 +121,7 @@ class _Table:
         elif kind == "text":
             columns.texts[name] = [cell if isinstance(cell, str) else "" for cell in cells]
         elif kind == "list":
-            self._list(columns, name, cells, owners)
+            self._list(columns, name, cells, owners, depth)
 
     def _settle(self, path: str, cells: Sequence[Any], owners: Sequence[int]) -> tuple[str, Sequence[Any]]:
         """The kind of most cells, empty where nothing is there; cells of another kind are taken out."""
@@ -108,7 +135,7 @@ class _Table:
             self.odd.setdefault(owners[k], f"{path or 'the message'} is of kind {each[k]}, in most messages {main}")
         return main, [_ABSENT if kind not in ("", main) else cell for kind, cell in zip(each, cells, strict=True)]
 
-    def _object(self, columns: Columns, path: str, cells: Sequence[Any], owners: Sequence[int]) -> None:
+    def _object(self, columns: Columns, path: str, cells: Sequence[Any], owners: Sequence[int], depth: int) -> None:
         objects = cast(list[dict[str, Any]], [cell if type(cell) is dict else {} for cell in cells])
         keys = list(dict.fromkeys(chain.from_iterable(objects)))
         if set(keys) in _TIMES and (time := _time(objects, keys)) is not None:
@@ -117,9 +144,9 @@ class _Table:
             return
         for key in keys:
             inner: list[Any] = [cell.get(key, _ABSENT) for cell in objects]
-            self.add(columns, f"{path}.{key}" if path else key, inner, owners)
+            self.add(columns, f"{path}.{key}" if path else key, inner, owners, depth + 1)
 
-    def _list(self, columns: Columns, path: str, cells: Sequence[Any], owners: Sequence[int]) -> None:
+    def _list(self, columns: Columns, path: str, cells: Sequence[Any], owners: Sequence[int], depth: int) -> None:
         """Sequences; those within sequences are laid end to end."""
         lists: list[list[Any]] = [cell if type(cell) is list else [] for cell in cells]
         counts = list(map(len, lists))
@@ -132,7 +159,7 @@ class _Table:
             columns.names[path] = list(map(tuple, lists))
             return
         inner = Columns()
-        self.add(inner, path, flat, of)
+        self.add(inner, path, flat, of, depth + 1)
         columns.nest(inner, counts)
 
     def _bytes(self, path: str, cell: object, owner: int) -> bytes:
@@ -174,7 +201,7 @@ def _coded(channel: "Channel") -> frozenset[str]:
     pictures = {"data"} if short(channel.schema_name).split("/")[-1].split(".")[-1] in _PICTURES else set[str]()
     try:
         if channel.schema_encoding == "jsonschema":
-            return frozenset(pictures | set(_contents(json.loads(channel.schema), "", _DEPTH)))
+            return frozenset(pictures | set(_contents(json.loads(channel.schema), "", MAX_DEPTH)))
         if channel.schema_encoding == "ros2msg":
             name = short(channel.schema_name)
             plan = compile_type(name, parse(name, str(channel.schema, "utf-8"), channel.topic), channel.topic)
