@@ -19,6 +19,7 @@ from pipeline.files import short_id
 from pipeline.protocols import Teleoperator
 from pipeline.recording.live import Closed
 from pipeline.recording.metadata import record_strings
+from pipeline.robots.gamepad import HELP as BUTTONS
 from pipeline.robots.keyboard import HELP as KEYS
 from pipeline.robots.keyboard import Keyboard
 from pipeline.robots.with_keys import WithKeys
@@ -110,13 +111,15 @@ def _drive(order: TeleopOrder, store: Store, lease: Lease, number: int, consent:
         driven.robot.connect()
         stack.callback(device.disconnect)
         device.connect()  # after the robot: its calibration may ask questions on the terminal
-        print(KEYS, file=sys.stderr, flush=True)
+        print(_help(device), file=sys.stderr, flush=True)
         try:
             for closed in teleop(driven.robot, controls, driven.scene_of, session):
                 keep(store, lease, closed)
                 attempts.append(closed)
         finally:
             line.end()
+            if driven.robot.late:
+                print(f"{driven.robot.late} ticks came late: this machine is too slow or too busy", file=sys.stderr)
 
 
 def _consent(order: TeleopOrder, store: Store) -> Consent | None:
@@ -154,6 +157,14 @@ def _check_fit(order: TeleopOrder, driven: Driven, device: Teleoperator) -> None
 def _with_keys(device: Teleoperator) -> Teleoperator:
     """The device, and beside it the keys of the session where there is a terminal."""
     return WithKeys(device, Keyboard()) if not isinstance(device, Keyboard) and sys.stdin.isatty() else device
+
+
+def _help(device: Teleoperator) -> str:
+    """What keys and buttons do."""
+    told = [BUTTONS] if device.name == "gamepad" else []
+    if isinstance(device, Keyboard | WithKeys):
+        told.append(KEYS)
+    return "\n".join(told) or f"{device.name} drives; attempts follow each other"
 
 
 def _can_say_next(device: Teleoperator) -> bool:

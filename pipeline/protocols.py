@@ -85,6 +85,11 @@ class LiveRobot(Robot, Protocol):
         """Who says whether an attempt has succeeded: `succeeded` of a robot that a person judges is never true."""
         ...
 
+    @property
+    def late(self) -> int:
+        """Ticks so far that came over half a period late."""
+        ...
+
     def connect(self) -> None:
         """Make it ready to perceive and act; RobotError says what is missing."""
         ...

@@ -1,6 +1,7 @@
 """LeRobot's robots and teleoperators, found and made by LeRobot's own plugin mechanism; the devices are virtual."""
 
 import json
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from flows.teleoperation import run_teleop
 from pipeline.errors import ConfigError, RobotError
 from pipeline.frames import JOINTS
 from pipeline.recording import read_episode
+from pipeline.robots.lerobot_teleop import feature_names
 from pipeline.robots.plugins import known
 from pipeline.simulation.bodies import load_body
 from pipeline.simulation.expert import Expert
@@ -192,9 +194,10 @@ def test_events_of_a_lerobot_device_take_over_and_give_back(order, hand, store, 
     ({"plugins": ("no_such_module",), "robot": "lerobot:virtual_six"}, "plugin 'no_such_module' does not load",
      "PYTHONPATH"),
 ], ids=["name", "missing key", "unknown key", "no step", "step of nothing", "bad value", "plugin"])
-def test_a_robot_that_cannot_be_opened_says_why(plugins, options, what, mend):
+def test_a_robot_that_cannot_be_opened_says_why(plugins, tmp_path, options, what, mend):
+    keys = options.get("robot_keys", {}) | {"calibration_dir": str(tmp_path)}
     with pytest.raises(ConfigError) as refused:
-        open_robot(TeleopOrder(**options), 0)
+        open_robot(TeleopOrder(**(options | {"robot_keys": keys})), 0)
     assert what in refused.value.what and mend in refused.value.mend
 
 
@@ -207,6 +210,14 @@ def test_a_device_that_cannot_be_opened_says_why(plugins, teleop, keys, what, tm
     with pytest.raises((ConfigError, RobotError)) as refused:
         open_device(TeleopOrder(teleop=f"lerobot:{teleop}", teleop_keys=keys | {"calibration_dir": str(tmp_path)}))
     assert what in refused.value.what, refused.value
+
+
+def test_a_device_whose_action_is_not_numbers_is_refused():
+    class Phone:
+        action_features: ClassVar = {"phone.pos": np.ndarray, "phone.enabled": bool, "phone.raw_inputs": dict}
+
+    with pytest.raises(RobotError, match="cannot be used: phone.pos, phone.raw_inputs are not numbers"):
+        feature_names(Phone(), "action_features", "--teleop lerobot:phone")
 
 
 def test_a_leader_of_other_joints_is_refused_before_anything_moves(order, hand, store):
