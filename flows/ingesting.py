@@ -11,6 +11,7 @@ from tempfile import mkdtemp
 from pipeline.errors import RecordingError
 from pipeline.logs.child import Children
 from pipeline.logs.convert import FRAMES, PROGRESS, PROGRESS_S
+from pipeline.recording.quarantine import QUARANTINE, note_refused
 from pipeline.store import Store
 from schemas.conversion import Conversion, RawLog
 from schemas.episode import Episode
@@ -66,6 +67,8 @@ class Ingest:
         self._store.add_raw_log(RawLog(id=sha, size_bytes=path.stat().st_size, source=str(path)))
         known = self._store.conversion(conversion_id(sha, self._declared, accept_truncated=self._accept))
         made = known or self._convert(sha, watch)
+        if made.state == "quarantined" and known is None:
+            note_refused(path, RecordingError(made.reason, where=path, mend=made.mend), self._store.root / QUARANTINE)
         if FRAMES not in made.files:
             return Taken(path, made, kept=known is not None)
         ingestion, episodes = episodes_of(made, self._declared)

@@ -15,6 +15,9 @@ from schemas.episode import Episode, Origin
 SIMULATED_ORIGINS: tuple[Origin, ...] = ("scripted", "replayed", "retargeted", "deployed", "corrected", "oracle")
 """Origins of episodes that a simulator can make alone."""
 
+DRIVEN: tuple[Origin, ...] = ("teleop", "ingested")
+"""Origins of episodes whose demonstrations a person gave."""
+
 SIMULATED_ACTORS = ("expert", "stand-in")
 """Who commands an episode in place of a person: the scripted expert, and the stand-in for an operator."""
 
@@ -143,7 +146,7 @@ def _nobody_in(episode: Episode) -> bool:
 def _people(episode: Episode) -> set[str]:
     """Pseudonyms of those who drove the robot by hand, as far as the record names them."""
     driven = [s.actor for s in episode.segments
-              if s.kind == "intervention" or (s.kind == "demonstration" and episode.origin == "teleop")]
+              if s.kind == "intervention" or (s.kind == "demonstration" and episode.origin in DRIVEN)]
     return set(driven) - set(SIMULATED_ACTORS)
 
 
