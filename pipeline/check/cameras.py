@@ -5,10 +5,16 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.check.following import numbers
 from pipeline.check.motion import unit_of
 from pipeline.check.signals import Rows, Signals
 from schemas.contract import Contract
 from schemas.finding import Finding
+
+
+VIDEO = 2
+"""How much longer, and squared how much further the robot must move, before a picture of a video counts as frozen: an
+encoder shows the same picture again where little changes in it."""
 
 
 def black_camera(signals: Signals, contract: Contract) -> Iterator[Finding]:
@@ -39,14 +45,14 @@ def frozen_camera(signals: Signals, contract: Contract) -> Iterator[Finding]:
     if motion is None:
         return
     for name, camera in signals.cameras.items():
-        start = 0
+        start, longer = 0, VIDEO if camera.video else 1
         for k in range(1, len(camera.prints) + 1):
             if k < len(camera.prints) and camera.prints[k] == camera.prints[start]:
                 continue
             span_s = (int(camera.stamps_ns[k - 1]) - int(camera.stamps_ns[start])) / 1e9
             inside = (motion[0] >= camera.stamps_ns[start]) & (motion[0] <= camera.stamps_ns[k - 1])
             moved = float(np.ptp(motion[1][inside], axis=0).max()) if inside.any() else 0.0
-            if span_s >= limits.frozen_camera_s and moved >= limits.camera_motion_rad:
+            if span_s >= longer * limits.frozen_camera_s and moved >= longer ** 2 * limits.camera_motion_rad:
                 yield Finding(check="frozen-camera", what=f"the same picture for {span_s:.3g} s while a joint moves by "
                               f"{moved:.3g}", where=name, at_s=signals.at_s(int(camera.stamps_ns[start])), frame=start,
                               value=span_s, limit=limits.frozen_camera_s,
@@ -64,5 +70,5 @@ def _joints(signals: Signals, contract: Contract) -> tuple[NDArray[np.int64], Ro
             if turning:
                 topic = found[0]
                 stamps = topic.log_ns if topic.header_ns is None else topic.header_ns
-                return stamps, np.nan_to_num(found[2].rows[:, turning])
+                return stamps, numbers(found[2].rows[:, turning])
     return None

@@ -95,7 +95,7 @@ class Film:
         inside = np.flatnonzero((self.stamps_s >= start_s - half_s) & (self.stamps_s < stop_s - half_s))
         stamps = np.round((self.stamps_s[inside] - start_s) * 1e9).astype(np.int64)
         thumbs = np.array([self.thumbs[int(i)] for i in inside], np.uint8).reshape(-1, THUMB[1], THUMB[0])
-        return Camera(name, stamps, thumbs, tuple(self.prints[int(i)] for i in inside), self.size)
+        return Camera(name, stamps, thumbs, tuple(self.prints[int(i)] for i in inside), self.size, video=True)
 
 
 def _decoded(path: Path) -> Film:

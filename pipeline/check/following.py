@@ -20,6 +20,11 @@ class Fit:
     """Best correlation at a lag that was allowed."""
 
 
+def numbers(rows: Rows) -> Rows:
+    """The rows with 0 for what is no number: that there is such a value is the business of another check."""
+    return np.where(np.isfinite(rows), rows, 0.0)
+
+
 def resample(stamps_s: Rows, rows: Rows, clock_s: Rows) -> Rows:
     """Rows at other times, linear between their own; stamps that do not rise are left out."""
     keep = np.concatenate([[True], np.diff(np.maximum.accumulate(stamps_s)) > 0])

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.check.following import resample
+from pipeline.check.following import numbers, resample
 from pipeline.check.signals import Rows, Signals, Subject
 from pipeline.files import sha256
 from schemas.contract import Contract, Thresholds
@@ -73,7 +73,7 @@ def motion_of(signals: Signals, contract: Contract) -> Motion | None:
             own, theirs = measured[2].rows, commanded[2].rows
             if len(own) != len(theirs):
                 theirs = resample(commanded[0].seconds, theirs, measured[0].seconds)
-            both = np.nan_to_num(np.column_stack([own, theirs]))
+            both = numbers(np.column_stack([own, theirs]))
             at = np.linspace(0, len(both) - 1, POINTS, dtype=np.float64)
             exact = np.ascontiguousarray(both, np.float32)
             moved = np.concatenate([[True], (np.diff(exact, axis=0) != 0).any(axis=1)])

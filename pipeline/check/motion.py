@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.check.following import best_lag, resample
+from pipeline.check.following import best_lag, numbers, resample
 from pipeline.check.signals import Column, Rows, Signals, Topic
 from schemas.contract import Contract, Pair, Thresholds
 from schemas.finding import Finding
@@ -58,7 +58,7 @@ def followed(signals: Signals, contract: Contract) -> Iterator[Followed]:
         if not period > 0 or stop - start < 15 * period:
             continue
         clock = start + np.arange(int((stop - start) / period + 1e-6) + 1) * period
-        own = [np.nan_to_num(rows) for rows in columns[:2]]
+        own = [numbers(rows) for rows in columns[:2]]
         yield Followed(pair, measured[0], clock, resample(stamps[0], own[0], clock),
                        resample(stamps[1], own[1], clock), columns[2])
 

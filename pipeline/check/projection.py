@@ -6,7 +6,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.check.following import correlation, resample
+from pipeline.check.following import correlation, numbers, resample
 from pipeline.check.signals import Camera, Rows, Signals
 
 MAX_SCENE = 16 << 20
@@ -72,7 +72,7 @@ def tool_track(signals: Signals) -> tuple[NDArray[np.int64], Rows] | None:
     for _, topic, column in signals.numbers():
         if set(TOOL) <= set(column.names) and len(topic) > 1:
             places = [column.names.index(name) for name in TOOL]
-            return topic.log_ns if topic.header_ns is None else topic.header_ns, np.nan_to_num(column.rows[:, places])
+            return topic.log_ns if topic.header_ns is None else topic.header_ns, numbers(column.rows[:, places])
     return None
 
 
@@ -82,7 +82,7 @@ def fits(camera: Camera, track: tuple[NDArray[np.int64], Rows], pose: Pose) -> f
     The weighted mean of the two correlations, sideways and up-down, weighted by how far the tool moves that way;
     0 where too little moves.
     """
-    change = np.abs(np.diff(camera.thumbs.astype(np.float64), axis=0))
+    change = camera.changes()
     weight = np.where(change > change.mean() + change.std(), change, 0.0)
     total = weight.sum(axis=(1, 2))
     moving = total > 0.2 * total.mean() if total.any() else np.zeros(len(total), bool)

@@ -80,7 +80,8 @@ def shifted_video(signals: Signals, contract: Contract) -> Iterator[Finding]:
     zero = int(stamps_ns[0])
     own = (stamps_ns - zero) / 1e9
     for name, camera in signals.cameras.items():
-        if len(camera.thumbs) < MANY or not camera.energy.any():
+        energy = camera.energy()
+        if len(energy) < MANY or not energy.any():
             continue
         stamps = (camera.stamps_ns - zero) / 1e9
         period = max(period_s, float(np.median(np.diff(stamps))))
@@ -88,7 +89,7 @@ def shifted_video(signals: Signals, contract: Contract) -> Iterator[Finding]:
         if len(clock) < MANY:
             continue
         fit = best_lag(resample(own, np.sqrt(speed)[:, None], clock),
-                       resample(stamps, np.sqrt(camera.energy)[:, None], clock), period,
+                       resample(stamps, np.sqrt(energy)[:, None], clock), period,
                        allowed_s=(-limits.video_shift_s, limits.video_shift_s))
         if fit is None or fit.correlation < max(limits.lag_correlation, fit.within + limits.video_gain):
             continue
