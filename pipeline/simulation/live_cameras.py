@@ -53,6 +53,10 @@ class SceneCameras:
         """Open the renderer, in the thread that reads; SimulationError where nothing can render here."""
         width, height = self._size
         self._film = FilmCamera(self._model, camera=self.names[0] if self.names else None, width=width, height=height)
+        data, kind = mujoco.MjData(self._model), mujoco.mjtState.mjSTATE_INTEGRATION.value
+        state = np.empty(mujoco.mj_stateSize(self._model, kind))
+        mujoco.mj_getState(self._model, data, state, kind)
+        self._film.frames(state[None])  # the first picture takes as long as ten others: shaders are compiled
 
     def read(self, timeout_s: float) -> list[Picture]:
         """One picture a camera of the newest state, or none where nothing new was shown in time."""
