@@ -6,9 +6,10 @@ from collections.abc import Iterator
 from io import FileIO
 from pathlib import Path
 
-from pipeline.logs.source import Source
+from pipeline.errors import RecordingError
+from pipeline.logs.source import BLOCK, Source
 from pipeline.recording.errors import DAMAGED, SPLIT, not_mcap, reading, refuse
-from pipeline.recording.fields import attachment, pairs, text
+from pipeline.recording.fields import Attached, attachment, pairs, text
 from pipeline.recording.records import MAGIC, Op
 from pipeline.recording.unpacking import MAX_BYTES, absurd
 
@@ -30,8 +31,42 @@ def read_attachments(stream: FileIO, size: int, where: Path) -> Iterator[tuple[s
             head = attachment(content, 0, len(content))
             (crc,) = struct.unpack_from("<I", content, head.stop)
         if crc and crc != zlib.crc32(memoryview(content)[: head.stop]):
-            raise refuse(f"attachment at byte {offset} is damaged: CRC mismatch", where, DAMAGED)
+            raise _mismatch(offset, where)
         yield head.name, head.media_type, content[head.start : head.stop]
+
+
+def pass_attachment(source: Source, size: int, where: Path) -> tuple[Attached, int] | None:
+    """Read over the attachment whose record, of `size` bytes, lies at the window's place; block by block.
+
+    Returns:
+        Its header and its CRC, which is right, or 0 where it has none; None where the file ends within it.
+    """
+    offset = source.offset
+    if source.left < 9 + size:
+        return None
+    source.fill(min(9 + size, BLOCK))
+    source.at += 9
+    with reading(where, f"attachment at byte {offset}"):
+        head = attachment(source.data, source.at, source.at + size)
+    crc, left = 0, size - 4
+    while left > 0:
+        step = min(left, BLOCK)
+        if not source.fill(step):
+            return None
+        crc = zlib.crc32(memoryview(source.data)[source.at : source.at + step], crc)
+        source.at += step
+        left -= step
+    if not source.fill(4):
+        return None
+    (stored,) = struct.unpack_from("<I", source.data, source.at)
+    source.at += 4
+    if stored and stored != crc:
+        raise _mismatch(offset, where)
+    return head, stored
+
+
+def _mismatch(offset: int, where: Path) -> RecordingError:
+    return refuse(f"attachment at byte {offset} is damaged: CRC mismatch", where, DAMAGED)
 
 
 def _contents(stream: FileIO, size: int, where: Path, wanted: Op) -> Iterator[tuple[int, bytes]]:

@@ -1,7 +1,6 @@
 """The data section of a log: its messages in pieces, everything else counted and checked on the way."""
 
 import struct
-import zlib
 from array import array
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,13 +11,14 @@ import zstandard
 from numpy.typing import NDArray
 
 from pipeline.errors import RecordingError
+from pipeline.logs.attached import pass_attachment
 from pipeline.logs.batch import Problems
 from pipeline.logs.declared import MAX_DECLARED, Declared
-from pipeline.logs.source import BLOCK, Source
+from pipeline.logs.source import Source
 from pipeline.logs.tally import Tally
 from pipeline.logs.walk import PIECE, heads, message_run
 from pipeline.recording.errors import DAMAGED, SPLIT, not_mcap, reading, refuse
-from pipeline.recording.fields import Chunk, attachment, pairs, text
+from pipeline.recording.fields import Chunk, pairs, text
 from pipeline.recording.records import MAGIC, MESSAGE_FIELDS, Op
 from pipeline.recording.unpacking import MAX_BYTES, absurd, plain_bytes, read_chunk
 
@@ -196,6 +196,8 @@ class Section:
         if op not in (Op.SCHEMA, Op.CHANNEL, Op.METADATA, Op.DATA_END):
             if op not in (Op.HEADER, Op.MESSAGE_INDEX) or (op == Op.HEADER) != (offset == len(MAGIC)):
                 self._problems.add(f"record of type {op} in the data; skipped", offset, "odd")
+            if op == Op.MESSAGE_INDEX and (not source.fill(15) or size < 6 or size != 6 + self._index_bytes()):
+                self._problems.add("a message index is no such thing", offset, "damage")
             return source.skip(9 + size)
         if not source.fill(9 + size):
             return False
@@ -213,6 +215,10 @@ class Section:
             elif op == Op.METADATA:
                 self._add_metadata(content)
         return True
+
+    def _index_bytes(self) -> int:
+        """Length of the entries that the message index at the window's place claims."""
+        return struct.unpack_from("<I", self._source.data, self._source.at + 11)[0]
 
     def _data_end(self, size: int) -> None:
         source = self._source
@@ -236,30 +242,13 @@ class Section:
         self.tally.metadata += 1
 
     def _attachment(self, size: int) -> bool:
-        """Check an attachment's CRC, block by block; False where the file ends within it."""
-        source, offset = self._source, self._source.offset
-        if source.left < 9 + size:
+        """Count an attachment; False where the file ends within it."""
+        found = pass_attachment(self._source, size, self._where)
+        if found is None:
             return False
-        crc, left = 0, size - 4
-        source.fill(min(9 + size, BLOCK))
-        source.at += 9
-        with reading(self._where, f"attachment at byte {offset}"):
-            head = attachment(source.data, source.at, source.at + size)
-        while left > 0:
-            step = min(left, BLOCK)
-            if not source.fill(step):
-                return False
-            crc = zlib.crc32(memoryview(source.data)[source.at : source.at + step], crc)
-            source.at += step
-            left -= step
-        if not source.fill(4):
-            return False
-        (stored,) = struct.unpack_from("<I", source.data, source.at)
-        source.at += 4
-        if stored and stored != crc:
-            raise refuse(f"attachment at byte {offset} is damaged: CRC mismatch", self._where, DAMAGED)
+        head, crc = found
         self.tally.attachments += 1
+        self.tally.bare += not crc
         if len(self.attached) < MAX_NAMED:
             self.attached.append((head.name, head.stop - head.start))
-        self.tally.bare += not stored
         return True

@@ -84,9 +84,8 @@ def judge(found: object, original: dict, mutant) -> str:
     if told:
         return "differs, a problem told"
     if mutant.forged:
-        reference = by_the_library(mutant.data)
-        return ("forged: as the library reads it" if reference == messages(found) else
-                "forged: the library refuses it" if reference is None else "SILENT DIFFERENCE")
+        agreed = by_the_library(mutant.data) == messages(found)
+        return "forged, as the library reads it" if agreed else "SILENT DIFFERENCE"
     unproven = " ".join(what for what, _ in original["problems"])
     moved = messages(found) != messages(original)
     if ("messages or attachments without" if moved else "metadata or channels without") in unproven:

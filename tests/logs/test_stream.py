@@ -110,7 +110,7 @@ def test_channels_that_nobody_wants_are_counted_only(tmp_path, way):
 @pytest.mark.parametrize("way", ["zstd", "no chunks"])
 def test_a_file_far_larger_than_the_window_is_read_block_by_block(tmp_path, way, monkeypatch):
     monkeypatch.setattr("pipeline.logs.source.BLOCK", 500)
-    monkeypatch.setattr("pipeline.logs.section.BLOCK", 500)
+    monkeypatch.setattr("pipeline.logs.attached.BLOCK", 500)
     path = write(tmp_path / "a.mcap", **WAYS[way])
     assert by_us(path) == by_the_library(path)
     assert told(path) == []
@@ -307,6 +307,12 @@ def test_records_that_nobody_knows_are_passed_over(tmp_path):
     assert [len(b) for b in map(list, by_us(path).values())] == [2]
     assert [w for k, w in told(path) if k == "odd"] == ["record of type 144 in the data; skipped",
                                                        "unknown opcode 145 in a chunk; skipped"]
+
+
+def test_a_chunk_that_calls_itself_an_index_is_told(tmp_path):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(file_of(CHANNEL, MESSAGE, b"\x07" + chunk_of(MESSAGE)[1:]))
+    assert ("damage", "a message index is no such thing") in told(path)
 
 
 def test_a_channel_whose_schema_is_missing_is_told(tmp_path):
