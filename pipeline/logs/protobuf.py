@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 MAX_FIELDS = 4096
 """Fields of one type, nested ones counted: far above any robot's."""
+_MEND = "record with the complete FileDescriptorSet, or leave the topic out of the map"
 _NS = 1_000_000_000
 _TIMES = ("google.protobuf.Timestamp", "google.protobuf.Duration")
 _DTYPES = MappingProxyType({
@@ -56,8 +57,7 @@ class ProtobufDecoder:
         except (KeyError, TypeError, ValueError, DecodeError, RecursionError) as error:
             reason = " ".join(str(error).split())[:200]
             raise RecordingError(f"the schema of {channel.schema_name} cannot be used: {reason}", where=channel.topic,
-                                 mend="record with the complete FileDescriptorSet, or leave the topic out of the map",
-                                 ) from None
+                                 mend=_MEND) from None
         self._leaves = _Planner(channel.schema_name, channel.topic).leaves(descriptor)
 
     def decode(self, batch: "Batch", /) -> Fields:
@@ -128,8 +128,7 @@ class _Planner:
         for field in kind.fields:
             self._left -= 1
             if self._left < 0:
-                raise RecordingError(f"{self._name} has more than {MAX_FIELDS} fields", where=self._where,
-                                     mend="leave the topic out of the map")
+                raise RecordingError(f"{self._name} has more than {MAX_FIELDS} fields", where=self._where, mend=_MEND)
             path = (*names, field.name)
             inner: Descriptor | None = field.message_type
             leaf = Leaf(".".join(path), attrgetter(".".join(path)), field)
@@ -138,6 +137,9 @@ class _Planner:
             elif inner.full_name in above:
                 continue
             elif field.is_repeated:
+                if inner.GetOptions().map_entry and [f.name for f in inner.fields] != ["key", "value"]:
+                    raise RecordingError(f"{inner.full_name} is a map without key and value", where=self._where,
+                                         mend=_MEND)
                 found.append(Leaf(leaf.path, leaf.get, field, self.leaves(inner, above)))
             else:
                 found += self.leaves(inner, above, path)

@@ -126,6 +126,15 @@ def circular():
     return files.SerializeToString()
 
 
+def odd_map():
+    files = described({"T0": [("tags", ".p.T0.TagsEntry", True)]})
+    entry = files.file[0].message_type[0].nested_type.add(name="TagsEntry")
+    entry.options.map_entry = True
+    entry.field.add(name="kuy", number=1, type=F.TYPE_STRING, label=1)
+    entry.field.add(name="value", number=2, type=F.TYPE_DOUBLE, label=1)
+    return files.SerializeToString()
+
+
 @pytest.mark.parametrize(("schema", "reason"), [
     (b"\xff\xff\xff", "cannot be used"),
     (b"", "cannot be used"),
@@ -133,7 +142,8 @@ def circular():
     (described({"T0": [("x", ".p.Gone", False)]}).SerializeToString(), "cannot be used"),
     (circular(), "imports itself"),
     (exponential(), "more than 4096 fields"),
-], ids=["garbage", "empty", "other type", "missing type", "circular", "exponential"])
+    (odd_map(), "map without key and value"),
+], ids=["garbage", "empty", "other type", "missing type", "circular", "exponential", "odd map"])
 def test_a_hostile_descriptor_is_refused_with_a_mend(schema, reason, channel_of):
     with pytest.raises(RecordingError, match=rf"(?s){reason}.*at: +/topic.*mend: .*out of the map"):
         decoder(channel_of("p.T0", schema, "protobuf", "protobuf"))
