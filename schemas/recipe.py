@@ -30,8 +30,8 @@ class DatasetConfig(Frozen):
 
     sources: tuple[str, ...] = ("scripted", "replayed", "retargeted", "corrected")
     weights: dict[str, float] = Field(
-        default={"base": 0.65, "corrections": 0.35},
-        description="share of each training batch; renormalised over what exists",
+        default={"base": 0.8, "corrections": 0.2},
+        description="share of each training batch; renormalised over what exists; variants are base",
     )
     held_out: float = Field(default=0.1, ge=0, lt=0.5, description="share of lineages in the validation split")
     only_success: bool = True

@@ -7,7 +7,7 @@ from types import MappingProxyType
 
 from pipeline.errors import ConfigError, DatasetError
 from pipeline.lerobot_view.tables import taught
-from schemas.episode import Episode
+from schemas.episode import VARIANTS, Episode
 
 GROUPS = ("base", "corrections")
 
@@ -90,11 +90,11 @@ def held_out(roots: Mapping[str, str], share: float, decided: Decided,
 
 
 def groups(episodes: Iterable[Episode], known: Mapping[str, Episode]) -> dict[str, str]:
-    """Episode id -> base (scripted data of generation 0 and its variants) or corrections.
+    """Episode id -> base (demonstrations of generation 0 and every variant) or corrections.
 
-    Corrections are what a person or the oracle gave and everything made from that. What any later
-    generation adds weighs as much, so that a control arm with fresh demonstrations differs in its
-    data and in nothing else.
+    Corrections are what a person or the oracle gave on the robot itself: few frames, which their many variants
+    would crowd out of a common group. What any later generation recorded weighs as much, so that a control arm
+    with fresh demonstrations differs in its data and in nothing else.
 
     Args:
         episodes: episodes of the version.
@@ -105,7 +105,7 @@ def groups(episodes: Iterable[Episode], known: Mapping[str, Episode]) -> dict[st
             episode = known.get(episode.parent or "")
         return episode is not None
 
-    return {e.id: GROUPS[e.generation > 0 or corrected(e)] for e in episodes}
+    return {e.id: GROUPS[e.origin not in VARIANTS and (e.generation > 0 or corrected(e))] for e in episodes}
 
 
 def shares(wanted: Mapping[str, float], present: Collection[str]) -> dict[str, float]:

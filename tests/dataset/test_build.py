@@ -135,7 +135,7 @@ def test_the_weights_are_shares_of_what_exists(make, demos, episode, tmp_path):
     share = {g: sum(row["weight"] for row in table if row["group"] == g) for g in ("base", "corrections")}
     assert share == pytest.approx(version.weights)
     assert {row["weight"] == 0 for row in table if row["split"] == "held_out"} == {True}
-    assert {row["group"] for row in table if row["source"] == "replayed"} == {"corrections"}
+    assert {row["group"] for row in table if row["source"] == "replayed"} == {"base"}
 
 
 def test_bad_frames_are_refused_by_episode_and_leave_nothing(make, demos, frames, tmp_path):
