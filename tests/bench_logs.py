@@ -175,3 +175,58 @@ def test_memory_stays_flat(tmp_path):
         assert inspect(path).messages == count
         path.unlink()
     assert peaks[1] < peaks[0] + 16
+
+
+def chunk_of(plain: bytes) -> bytes:
+    return records.chunk(1, 1, len(plain), zlib.crc32(plain), "zstd", zstandard.compress(plain))
+
+
+def hostile() -> dict[str, bytes]:
+    """Files of at most 26 MB that want memory or time, one for each way that we thought of."""
+    rng = np.random.default_rng(0)
+    channel = records.channel(1, 0, "/x", "cdr")
+    tiny = records.message(1, 0, 1, b"")
+    many = np.frombuffer(tiny * 2_000_000, np.uint8).reshape(-1, len(tiny)).copy()
+    many[:, 11:15] = rng.integers(0, 256, (len(many), 4))
+    names = b"".join(records.channel(k, 0, rng.bytes(300).hex(), "cdr") for k in range(50_000))
+    own = b"\x90" + bytes(8)
+    return {
+        "3,000 chunks of 1 MiB": channel + chunk_of(tiny * 33_000) * 3000,
+        "2 GiB declared": records.chunk(1, 1, 1 << 31, 0, "zstd", b"x"),
+        "60 MiB out of 6 KiB": chunk_of(bytes(60 << 20)),
+        "2,000,000 messages in one chunk": channel + chunk_of(many.tobytes()),
+        "50,000 channels with long names": chunk_of(names),
+        "2,000,000 empty records": channel + own * 2_000_000,
+        "60,000 chunks of one message": channel + chunk_of(tiny) * 60_000,
+        "200,000 messages on 60,000 channels": b"".join(records.channel(k, 0, "x", "cdr") for k in range(60_000))
+        + chunk_of(b"".join(records.message(k % 60_000, 0, 1, b"") for k in range(200_000))) * 8,
+    }
+
+
+def test_hostile_files_end(tmp_path):
+    """CPU time and address space that a child takes to refuse them, or to read them to the end."""
+    print()
+    for name, body in hostile().items():
+        path = tmp_path / "hostile.mcap"
+        path.write_bytes(records.MAGIC + records.header("", "") + body)
+        done = subprocess.run([sys.executable, "-c", INSPECT, str(path)], check=True, capture_output=True, text=True)
+        seconds, what = done.stdout.split(" ", 1)
+        print(f"  {name:<36} {path.stat().st_size / 1e6:>5.1f} MB: {float(seconds):.1f} CPU s; {what.strip()}")
+        assert float(seconds) < 5
+
+
+INSPECT = """
+import resource, sys
+from pathlib import Path
+from pipeline.errors import RecordingError
+from pipeline.logs.child import Children, Limits
+from pipeline.logs.inspection import inspect
+path = Path(sys.argv[1])
+with Children() as children:
+    try:
+        what = f"read, {inspect(path, accept_truncated=True, children=children).messages} messages"
+    except RecordingError as error:
+        what = error.what
+used = resource.getrusage(resource.RUSAGE_CHILDREN)
+print(used.ru_utime + used.ru_stime, what)
+"""
