@@ -13,6 +13,7 @@ def ingest(
     map: Annotated[Path | None, typer.Option(help="YAML file: which topics and fields become which features.")] = None,
     dataset: Annotated[str | None, typer.Option(help="Build a version of this name from the episodes.")] = None,
     suggest: Annotated[bool, typer.Option("--suggest", help="Print a first map for a log and stop.")] = False,
+    out: Annotated[Path | None, typer.Option(help="Write what --suggest prints to this file, a new one.")] = None,
     accept_truncated: Annotated[bool, typer.Option(
         "--accept-truncated", help="Keep what comes before the first damage or missing byte.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print JSON for machines.")] = False,
@@ -26,8 +27,7 @@ def ingest(
     from flows.ingest_display import ingest_all, suggest_map
 
     if suggest:
-        for log in logs:
-            typer.echo(suggest_map(log), nl=False)
+        typer.echo(suggest_map(logs, out), nl=False)
         return
     if map is None:
         raise ConfigError("no map says how to read the logs", where="hardcase ingest",

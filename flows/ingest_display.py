@@ -12,7 +12,8 @@ from rich.table import Table
 
 from flows.ingested import Built, build_version
 from flows.ingesting import Ingest, Taken
-from pipeline.errors import HardcaseError, RecordingError
+from pipeline.errors import ConfigError, HardcaseError, RecordingError
+from pipeline.files import atomic
 from pipeline.logs.mapping import load_map
 from pipeline.store import Store, store_root
 from schemas.conversion import TopicUse
@@ -73,11 +74,26 @@ def ingest_all(logs: Sequence[Path], map_file: Path, *, dataset: str | None, acc
         return (json.dumps(_as_json(rows, built, store)) if as_json else _told(rows, built, store)), code
 
 
-def suggest_map(log: Path) -> str:
-    """A first map for a log, as YAML; RecordingError where it cannot be read."""
+def suggest_map(logs: Sequence[Path], out: Path | None) -> str:
+    """A first map for a log, as YAML, for printing; with `out` it goes there, and the next step is told.
+
+    Raises:
+        RecordingError: the log cannot be read, or has nothing that could become a feature.
+        ConfigError: several logs, or `out` is there already.
+    """
     from pipeline.logs.suggest import suggest
 
-    return suggest(log)
+    if len(logs) != 1 or logs[0].is_dir():
+        raise ConfigError("--suggest reads one log", where=" ".join(map(str, logs)),
+                          mend="name one recording; its map serves all logs of that robot")
+    if out is not None and out.exists():
+        raise ConfigError("a file of this name is there already", where=out, mend="name another --out, or remove it")
+    text = suggest(logs[0])
+    if out is None:
+        return text
+    with atomic(out) as stream:
+        stream.write(text.encode())
+    return f"{out} is written: read it, then hardcase ingest {logs[0]} --map {out}\n"
 
 
 def _files(logs: Sequence[Path]) -> list[Path]:

@@ -11,6 +11,7 @@ from google.protobuf.message_factory import GetMessageClass
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from flows.cli import main
 from pipeline.errors import RecordingError
 from pipeline.logs.convert import convert
 from pipeline.logs.mapping import load_map
@@ -218,6 +219,31 @@ def test_a_log_without_numbers_is_refused_with_what_it_holds(foreign_log):
         made.ros("/chatter", "std_msgs/msg/String", 0, {"data": "hello"})
     with pytest.raises(RecordingError, match=r"(?s)no topic has a number.*at: .*mend: record what .*holds: /chatter"):
         suggest(made.path)
+
+
+def test_the_command_writes_a_map_to_a_new_file_only(foreign_log, tmp_path, monkeypatch, capsys):
+    with foreign_log() as made:
+        for k in range(20):
+            made.ros("/joint_states", "sensor_msgs/msg/JointState", k / 50, joints(k / 50, k))
+
+    def call(*arguments):
+        monkeypatch.setattr("sys.argv", ["hardcase", "ingest", "--suggest", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        return ended.value.code or 0, *capsys.readouterr()
+
+    file = tmp_path / "theirs.yaml"
+    code, said, _ = call(made.path, "--out", file)
+    assert code == 0
+    assert f"--map {file}" in said
+    assert load_map(file).features["observation.state"][0].joints == tuple(NAMES)
+    file.write_text("edited")
+    code, _, told = call(made.path, "--out", file)
+    assert (code, file.read_text()) == (2, "edited")
+    assert "mend: name another --out" in told
+    code, _, told = call(made.path, made.path)
+    assert code == 2
+    assert "mend: name one recording" in told
 
 
 @settings(max_examples=30, deadline=None)
