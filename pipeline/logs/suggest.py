@@ -21,7 +21,7 @@ FULL_TURN = 6.5
 """Joint positions beyond one turn look like degrees [rad]."""
 _CAMERA_WORDS = frozenset({"camera", "cam", "color", "compressed", "image", "images", "raw", "rect", "rgb"})
 _FEATURE_WORDS = frozenset({"action", "command", "commands", "observation", "observations"})
-_SIMPLE = re.compile(r"/?[A-Za-z_][\w/.]*(\[[\d:]+\])?", re.ASCII)
+_SIMPLE = re.compile(r"/?[A-Za-z_][\w/.]*", re.ASCII)
 _LISTED = 60
 
 
@@ -190,7 +190,7 @@ class _Guess:
         if pauses is None:
             return ["# No topic marks episodes and nothing pauses: the whole file is one.", "episodes: {by: file}"]
         longest = ", ".join(_seconds(pause) for pause in pauses.pauses[:4])
-        return ["episodes:", f"  # {_plain(pauses.topic)} is silent {len(pauses.pauses)} times or more: {longest}",
+        return ["episodes:", f"  # The longest silences of {_plain(pauses.topic)}: {longest}",
                 "  by: gap", f"  longer_than_s: {max(round(min(pauses.pauses) / 2, 1), 0.5):g}",
                 f"  topic: {_quoted(pauses.topic)}"]
 

@@ -66,6 +66,17 @@ def test_an_arm_with_cameras_is_understood_and_its_map_converts_the_log(foreign_
     assert sum(span["frames"] for span in made_of_it["spans"]) >= 45
 
 
+def test_of_trajectories_with_several_points_the_first_is_taken(foreign_log, tmp_path):
+    with foreign_log() as made:
+        for k in range(30):
+            points = [{"positions": [0.1 * n, 0.2, 0.3], "time_from_start": {"sec": n, "nanosec": 0}}
+                      for n in range(1 + k % 3)]
+            made.ros("/arm/joint_trajectory", "trajectory_msgs/msg/JointTrajectory", k / 50,
+                     {"header": header(k / 50), "joint_names": NAMES, "points": points})
+    [action] = loaded(suggest(made.path), tmp_path).features["action"]
+    assert (action.fields, action.names) == (("points.positions[0:3]",), tuple(NAMES))
+
+
 def test_latched_messages_at_time_0_do_not_touch_the_rate(foreign_log, tmp_path):
     with foreign_log() as made:
         made.ros("robot_description", "std_msgs/msg/String", None, {"data": "<robot/>"})
