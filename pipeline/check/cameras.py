@@ -11,7 +11,6 @@ from pipeline.check.signals import Rows, Signals
 from schemas.contract import Contract
 from schemas.finding import Finding
 
-
 VIDEO = 2
 """How much longer, and squared how much further the robot must move, before a picture of a video counts as frozen: an
 encoder shows the same picture again where little changes in it."""

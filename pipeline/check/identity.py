@@ -164,8 +164,9 @@ def _near(members: Sequence[int], motions: Sequence[Motion], limit: float) -> di
     found: dict[tuple[int, int], Twins] = {}
     for start in range(0, len(shares), BLOCK):
         far = squares[start:start + BLOCK, None] + squares[None] - 2 * shares[start:start + BLOCK] @ shares.T
-        rows, others = np.nonzero(far < (limit ** 2 + 1e-9) * width)
-        for a, b in zip((rows + start).tolist(), others.tolist(), strict=True):
+        near: list[list[int]] = np.argwhere(far < (limit ** 2 + 1e-9) * width).tolist()
+        for row, b in near:
+            a = start + row
             distance = float(np.sqrt(np.mean((shares[a] - shares[b]) ** 2)))
             if a < b and distance <= limit:
                 one = motions[members[a]]

@@ -12,12 +12,15 @@ from pipeline.check.swapped import fingerprint
 from pipeline.recording.dialect import FRAME_TOPICS
 from schemas.contract import CameraRule, Contract, Evaluation, Limit, TopicRule
 
+SPEED_ROOM = 3
+"""How much faster than in a good log a joint may move: another start asks for another turn of the wrist."""
+
 
 def from_log(subject: Subject, *, name: str = "default") -> Contract:
     """A contract that a good log keeps, with room for what the next good log does otherwise.
 
     Rates are those seen, gaps and jitter twice what was seen, limits what was seen and a tenth of its range,
-    speeds half as much again; cameras get their fingerprint. Offsets between clocks are not taken over.
+    speeds three times that; cameras get their fingerprint. Offsets between clocks are not taken over.
     """
     own = completed(Contract(name=name), subject)
     topics: dict[str, TopicRule] = {}
@@ -66,7 +69,7 @@ def _seen(reference: str, seen: Sequence[tuple[Rows, Column]], known: Mapping[st
         found[column] = Limit(
             low=_tidy(low - room) if given.low is None else given.low,
             high=_tidy(high + room) if given.high is None else given.high,
-            speed=given.speed or (_tidy(1.5 * speed) if speed > 0 else None),
+            speed=given.speed or (_tidy(SPEED_ROOM * speed) if speed > 0 else None),
             unit=given.unit or unit_of(column, Contract(), reference))
     return found
 

@@ -107,6 +107,8 @@ def truncated(signals: Signals, contract: Contract) -> Iterator[Finding]:
     mend = "record the episode again; what is whole can be kept for looking at: hardcase recover"
     if fact := signals.faults.get("truncated"):
         yield Finding(check="truncated", what=fact, where=signals.name, mend=mend)
+    elif not any(len(t) for t in signals.topics.values()):
+        yield Finding(check="truncated", what="it holds no message", where=signals.name, mend=mend)
     elif signals.metadata.get("episode", {}).get("truncated") == "true":
         yield Finding(check="truncated", what="the recording was cut off, and recovered as far as it was whole",
                       where=signals.name, mend=mend)

@@ -65,7 +65,7 @@ def with_shifted_actions(columns):
 
 
 def in_degrees(columns):
-    columns["observation.state"] = [[*(v * 180 / np.pi for v in row[:6]), *row[6:]] for row in columns["observation.state"]]
+    columns["observation.state"] = [[*np.degrees(row[:6]), *row[6:]] for row in columns["observation.state"]]
 
 
 def with_index_gap(columns):
@@ -126,7 +126,7 @@ def test_a_wrong_success_flag_in_the_table_is_found(folder, edit_table, findings
     ({"robot": "other"}, "the robot is arm, the evaluation has other"),
     ({"control_hz": 50}, "the control rate [Hz] is 20.0, the evaluation has 50.0"),
     ({"features": {"observation.images.wrist": ("x",)}}, "feature observation.images.wrist is missing"),
-    ({"features": {"action": ("dx", "dy", "dz", "dyaw", "grip")}}, "holds 'gripper' at place 4, the evaluation has 'grip'"),
+    ({"features": {"action": ("dx", "dy", "dz", "dyaw", "grip")}}, "'gripper' at place 4, the evaluation has 'grip'"),
     ({"action_low": (-1e-3,) * 5, "action_high": (1e-3,) * 5}, "lie outside -0.001 to 0.001"),
 ], ids=["robot", "rate", "missing feature", "renamed value", "range"])
 def test_data_that_does_not_match_the_evaluation_is_found(wanted, says, folder, findings):
