@@ -2,7 +2,8 @@
 
 import json
 import sys
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -65,12 +66,10 @@ def run_record(order: RecordOrder, root: Path, *, as_json: bool = False) -> bool
         id=short_id("record", scene.model_dump_json(), actor, order.path.name), kind="autonomous", actor=actor,
         origin="scripted" if policy_id is None else "deployed", scene=scene, control_hz=robot.control_hz,
         generation=0, policy=policy_id)
-    with ExitStack() as stack:
-        recorder = stack.enter_context(LiveRecorder(order.path, episode, attachments=attachments,
-                                                    software=facts.software()))
-        stack.enter_context(stop.listening())
-        robot.begin(scene)
-        with _Film(order, robot, recorder) as film:
+    film = _Film(order, robot)
+    with LiveRecorder(order.path, episode, attachments=attachments, software=facts.software()) as recorder:
+        with stop.listening(), film.on(recorder):
+            robot.begin(scene)
             outcome = record(robot, policy, recorder, seconds=order.seconds, until_success=order.until_success,
                              show=film.show, stop=stop)
         closed = recorder.close(outcome)
@@ -81,31 +80,33 @@ def run_record(order: RecordOrder, root: Path, *, as_json: bool = False) -> bool
 class _Film:
     """The cameras of a recording, or nothing where none is asked for or nothing can render here."""
 
-    def __init__(self, order: RecordOrder, robot: "SimulatedRobot", recorder: LiveRecorder) -> None:
+    def __init__(self, order: RecordOrder, robot: "SimulatedRobot") -> None:
         from pipeline.simulation.live_cameras import SceneCameras
 
-        self._robot, self._filming, self.taken = robot, None, dict[str, int]()
         width, height = order.size
+        self._robot, self.taken = robot, dict[str, int]()
         self._cameras = SceneCameras(robot.world.batch.get_model(0), order.cameras, width=width, height=height)
-        if not order.cameras:
-            return
-        try:
-            self._filming = Filming(recorder, self._cameras)
-        except SimulationError as error:
-            print(f"no pictures: {error.what}; recording goes on without ({error.mend})", file=sys.stderr)
+        self._filming = False
+
+    @contextmanager
+    def on(self, recorder: LiveRecorder) -> Iterator[None]:
+        """Film while the body runs; where that is impossible, say so in one line and go on without."""
+        with ExitStack() as stack:
+            filming = None
+            if self._cameras.names:
+                try:
+                    filming = stack.enter_context(Filming(recorder, self._cameras))
+                    self.taken, self._filming = filming.taken, True
+                except SimulationError as error:
+                    print(f"no pictures: {error.what}; recording goes on without ({error.mend})", file=sys.stderr)
+            yield
+        if filming and filming.error:
+            print(f"no pictures since then: {filming.error.what} ({filming.error.mend})", file=sys.stderr)
 
     def show(self, tick: int, stamp_ns: int) -> None:
         """Let the cameras take the state that the robot is in."""
-        if self._filming is not None:
+        if self._filming:
             self._cameras.show(self._robot.world.save(_ONE)[0][0], tick, stamp_ns)
-
-    def __enter__(self) -> "_Film":
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        if self._filming is not None:
-            self._filming.stop()
-            self.taken = self._filming.taken
 
 
 def _policy(name: str, root: Path) -> tuple[Policy, str, str | None]:
