@@ -30,6 +30,9 @@ def teleop(
     ] = None,
     size: Annotated[str, typer.Option(help="Width and height of pictures.")] = "320x240",
     by_key: Annotated[bool, typer.Option("--by-key", help="Only the person ends an attempt, no predicate.")] = False,
+    stop_on_trigger: Annotated[
+        bool, typer.Option("--stop-on-trigger", help="A trigger while the policy drives ends the attempt as a failure.")
+    ] = False,
     hand_speed: Annotated[float, typer.Option(min=0.1, max=3, help="Factor on the speed of keys and sticks.")] = 1.0,
     speed: Annotated[float, typer.Option(min=0, help="Simulated seconds a second; 0: as fast as it goes.")] = 1.0,
     hz: Annotated[float, typer.Option(min=1, max=200, help="Control rate of LeRobot robots.")] = 20.0,
@@ -57,7 +60,7 @@ def teleop(
         teleop_keys=_pairs(teleop_key, "--teleop-key"), plugins=tuple(plugin or ()), policy=policy, task=task,
         stratum=stratum, operator=operator, consent=consent, episodes=episodes, cameras=tuple(camera or ()),
         size=picture_size(size), hz=hz, speed=speed, hand_speed=hand_speed, max_step=_steps(max_step), max_s=max_s,
-        by_key=by_key)
+        by_key=by_key, stop_on_trigger=stop_on_trigger)
     if run_teleop(order, store_root(), as_json=json):
         raise typer.Exit(INTERRUPTED)
 

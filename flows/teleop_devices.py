@@ -1,5 +1,6 @@
 """What `hardcase teleop` names on its command line, opened: robots, input devices, policies, starts."""
 
+import re
 import sys
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
@@ -13,9 +14,9 @@ from pipeline.protocols import LiveRobot, Observation, Policy, Teleoperator
 from pipeline.recording.live import LiveRecorder
 from pipeline.robots.limits import Limits
 from pipeline.robots.mapping import Driver
+from pipeline.robots.session import Film, no_film
 from pipeline.store import Store
 from schemas.scene import SceneSpec
-from stages.teleop import Film, no_film
 
 if TYPE_CHECKING:
     from pipeline.robots.lerobot_robot import Link
@@ -47,6 +48,7 @@ class TeleopOrder:
     max_step: Mapping[str, float] = field(default_factory=dict[str, float])
     max_s: float = 120.0
     by_key: bool = False
+    stop_on_trigger: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +172,8 @@ def _real_scenes(order: TeleopOrder, link: "Link", session: int) -> Callable[[in
     from pipeline.triggers import stratum_of
 
     task, arm = load_task(order.task), is_arm(link)
-    name = "arm" if arm and set(ENVIRONMENT) <= set(link.senses) else link.name.partition(":")[2].lower()
+    registered = re.sub(r"[^a-z0-9_-]", "-", link.name.partition(":")[2].lower())
+    name = "arm" if arm and set(ENVIRONMENT) <= set(link.senses) else registered
 
     def scene_of(attempt: int, seen: Observation) -> SceneSpec:
         there = seen.environment[0] if seen.environment.size else None

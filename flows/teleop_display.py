@@ -13,7 +13,7 @@ from rich.table import Table
 from pipeline.frames import ENVIRONMENT, STATE
 from pipeline.protocols import Signals
 from pipeline.recording.live import Closed
-from stages.teleop import Status
+from pipeline.robots.session import Status
 
 WHO = {"operator": "YOU", "policy": "POLICY", "reset": "RESET, Enter starts"}
 _HAND = slice(STATE.index("ee_x"), STATE.index("ee_yaw") + 1)

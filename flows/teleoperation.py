@@ -1,5 +1,6 @@
 """`hardcase teleop`: a session of a person with a robot, from the command line to episodes in the store."""
 
+import re
 import signal
 import sys
 from collections.abc import Iterator
@@ -20,12 +21,15 @@ from pipeline.protocols import Teleoperator
 from pipeline.recording.live import Closed
 from pipeline.recording.metadata import record_strings
 from pipeline.robots.gamepad import HELP as BUTTONS
+from pipeline.robots.judging import Alarm
 from pipeline.robots.keyboard import HELP as KEYS
 from pipeline.robots.keyboard import Keyboard
+from pipeline.robots.session import Controls, Session
 from pipeline.robots.with_keys import WithKeys
+from pipeline.simulation.tasks import load_task
 from pipeline.store import Lease, RunInfo, Store
 from schemas.consent import NO_CONSENT, Consent
-from stages.teleop import Controls, Session, teleop
+from stages.teleop import teleop
 
 TELEOP = "teleop"
 """Stands in the run's `control`, so that no loop takes a session for a run of its own."""
@@ -99,12 +103,14 @@ def _drive(order: TeleopOrder, store: Store, lease: Lease, number: int, consent:
         tx.add_run(_info(order, number))
     adopt(store, lease)
     line = StatusLine(driven.robot.signals, order.episodes, driven.robot.control_hz)
-    controls = Controls(device, driven.driver, driven.limits, policy, name, id, driven.film)
+    alarm = Alarm(load_task(order.task)) if policy is not None else None
+    controls = Controls(device, driven.driver, driven.limits, policy, name, id, alarm, driven.film)
     said = record_strings(consent) if consent else {}
     session = Session(
         operator=order.operator, consent=order.consent or NO_CONSENT, folder=store.root / FOLDER,
         software={**facts.software(), **said}, config=_config(order, device), number=number,
-        episodes=order.episodes, max_s=order.max_s, by_key=order.by_key, ask=_can_say_next(device), show=line.show,
+        episodes=order.episodes, max_s=order.max_s, by_key=order.by_key,
+        stop_on_trigger=order.stop_on_trigger, ask=_can_say_next(device), show=line.show,
         stop=stop)
     with ExitStack() as stack:
         stack.callback(driven.robot.disconnect)
@@ -124,6 +130,9 @@ def _drive(order: TeleopOrder, store: Store, lease: Lease, number: int, consent:
 
 def _consent(order: TeleopOrder, store: Store) -> Consent | None:
     """The person's record; refused where it is not there or another's, and told where it does not hold now."""
+    if re.fullmatch(r"[a-z0-9][a-z0-9_-]{0,63}", order.operator) is None:
+        raise ConfigError(f"{order.operator!r} is no pseudonym", where=f"--operator {order.operator}",
+                          mend="use 1 to 64 of a-z, 0-9, _ and -; never a person's name")
     told = "recordings of this session are kept, and never used for training"
     if order.consent is None:
         print(f"no consent: {told} (--consent ID)", file=sys.stderr)

@@ -1,101 +1,25 @@
 """Teleop: a person drives a robot, or takes over from a policy and gives it back; every attempt is recorded whole."""
 
 import json
-from collections.abc import Callable, Generator, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, suppress
-from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Literal
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 
 from pipeline.errors import HardcaseError, RecordingError, RobotError
-from pipeline.protocols import Array, Call, Command, LiveRobot, Observation, Policy, Teleoperator
+from pipeline.protocols import Array, Call, Command, LiveRobot, Observation
 from pipeline.recording.live import Closed, LiveRecorder
 from pipeline.recording.live_header import beginning
 from pipeline.recording.live_rows import Row
 from pipeline.robots.hand import Hand
-from pipeline.robots.limits import Limits
-from pipeline.robots.mapping import Driver
+from pipeline.robots.session import Controls, SceneOf, Session, Status, Who
 from pipeline.simulation.recordings import episode_id
 from schemas.episode import Outcome
 from schemas.scene import SceneSpec
 
-type SceneOf = Callable[[int, Observation], SceneSpec]
-"""(attempt from 0, what the robot perceives before it) -> its start: made up in simulation, perceived elsewhere."""
-type Film = Callable[[LiveRecorder], AbstractContextManager[Callable[[int, int], None]]]
-"""Films into a recording while it is open; what it gives is called with (tick, time [ns]) when the robot perceived."""
-type Who = Literal["operator", "policy", "reset"]
-
 _ONE = np.arange(1)
 _ENDS: tuple[Call, ...] = ("success", "failure", "unknown", "quit")
-
-
-@contextmanager
-def no_film(recorder: LiveRecorder) -> Generator[Callable[[int, int], None]]:
-    """No camera beside the robot's own."""
-    yield lambda tick, stamp_ns: None
-
-
-@dataclass(frozen=True, slots=True)
-class Status:
-    """What a person is shown at every tick."""
-
-    attempt: int
-    """From 1."""
-    seconds: float
-    """Length of the attempt so far; of the pause, between attempts [s]."""
-    who: Who
-    """Who commands; 'reset' between attempts, when nothing is recorded."""
-    observation: Observation
-    note: str
-    """What was wrong with the last command; empty where nothing was."""
-
-
-@dataclass(frozen=True, slots=True)
-class Session:
-    """What all attempts of a session share."""
-
-    operator: str
-    """The person's pseudonym."""
-    consent: str
-    """Id of the person's consent, or 'none'."""
-    folder: Path
-    """Where recordings are written."""
-    software: Mapping[str, str]
-    """Strings for each file's metadata."""
-    config: Mapping[str, object]
-    """What was in force, attached as config.json."""
-    number: int
-    """Sets this session apart from others with the same starts."""
-    episodes: int = 1
-    """How many attempts."""
-    max_s: float = 120.0
-    """Longest attempt [s]."""
-    by_key: bool = False
-    """Only the person ends an attempt, not the robot's belief in success."""
-    ask: bool = True
-    """Wait for 'next' before each attempt; the robot can be driven meanwhile, unrecorded, to reset it."""
-    show: Callable[[Status], None] = field(default=lambda status: None)
-    """Called at every tick."""
-    stop: Callable[[], bool] = field(default=lambda: False)
-    """Whether somebody wants the session to end now: the attempt is cut off and kept."""
-
-
-@dataclass(frozen=True, slots=True)
-class Controls:
-    """Who can command the robot, and what may be sent to it."""
-
-    device: Teleoperator
-    driver: Driver
-    limits: Limits
-    policy: Policy | None = None
-    policy_name: str = ""
-    """Id of the policy, or 'expert'; the actor of the autonomous segments."""
-    policy_id: str | None = None
-    """Id of the policy in the store; None for the expert."""
-    film: Film = no_film
-    """Films an attempt with cameras that are no part of the robot."""
 
 
 def teleop(robot: LiveRobot, controls: Controls, scene_of: SceneOf, session: Session) -> Iterator[Closed]:
@@ -161,8 +85,14 @@ class _Attempt:
                       actor=actor, policy=controls.policy_id, consent=session.consent),
             attachments={**robot.attachments(), **_attached(session, scene)}, software=session.software,
             layout=robot.layout())
-        if controls.policy is not None:
-            controls.policy.reset(1)
+        self._give_to_policy()
+
+    def _give_to_policy(self) -> None:
+        """Let the policy begin: what it planned before belongs to another course of events."""
+        if self._controls.policy is not None:
+            self._controls.policy.reset(1)
+        if self._controls.alarm is not None:
+            self._controls.alarm.reset()
 
     def _party(self) -> tuple[str, str]:
         """Kind and actor of a segment of whoever commands."""
@@ -194,6 +124,7 @@ class _Attempt:
         observation, command = robot.observe(_ONE), self._controls.device.read()
         take(tick, stamp_ns)
         self._switch_over(command, tick)
+        self._watch(observation, tick)
         action = self._action(command, observation)
         recorder.joy(list(command.raw_axes), list(command.raw_buttons), tick=tick, stamp_ns=stamp_ns)
         for camera, picture in robot.pictures().items():
@@ -206,7 +137,7 @@ class _Attempt:
         if self._hand.note and self._hand.note != noted:
             recorder.event("limit", self._hand.note, level=30, tick=tick)
         recorder.tick(tick, self._row(), stamp_ns=stamp_ns)
-        self._session.show(Status(self._number, (tick + 1) / robot.control_hz, self._who, observation, self._hand.note))
+        self._session.show(Status(self._number, (tick + 1) / robot.control_hz, self._who, observation, self._note()))
         return self._ended(command, tick)
 
     def _switch_over(self, command: Command, tick: int) -> None:
@@ -227,9 +158,22 @@ class _Attempt:
             return
         self._who = wanted
         if wanted == "policy":
-            policy.reset(1)  # what it planned before belongs to another course of events
+            self._give_to_policy()
         kind, actor = self._party()
         self._recorder.segment(kind, actor, tick=tick)
+
+    def _watch(self, observation: Observation, tick: int) -> None:
+        """Notice where the policy fails."""
+        alarm = self._controls.alarm
+        if alarm is not None and self._who == "policy" and alarm.see(observation) and alarm.raised is not None:
+            self._recorder.event("trigger", f"{alarm.raised[0]}, {alarm.raised[1]}", level=30, tick=tick)
+
+    def _note(self) -> str:
+        """What a person should know now."""
+        alarm = self._controls.alarm
+        if self._who == "policy" and alarm is not None and alarm.raised is not None:
+            return f"FAILS: {alarm.raised[0]}"
+        return self._hand.note
 
     def _action(self, command: Command, observation: Observation) -> Array:
         if self._who == "policy" and self._controls.policy is not None:
@@ -251,6 +195,10 @@ class _Attempt:
                 return Outcome(label=label, judged_by="operator")
         if not self._session.by_key and self._robot.succeeded():
             return Outcome(label="success", judged_by=self._robot.judge)
+        alarm = self._controls.alarm
+        if self._session.stop_on_trigger and self._who == "policy" and alarm is not None and alarm.raised is not None:
+            return Outcome(label="failure", judged_by="sensors", trigger=alarm.raised[0], family=alarm.raised[1],
+                           tick=tick)
         if self._session.stop() or self._recorder.failed:  # what the disk refused, `close` says
             return Outcome(label="unknown", judged_by="operator", reason="cut off: interrupted")
         if any(call in command.calls for call in _ENDS):

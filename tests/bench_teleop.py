@@ -16,7 +16,8 @@ import pytest
 
 from flows.teleop_devices import TeleopOrder, open_device, open_robot
 from flows.teleop_display import StatusLine
-from stages.teleop import Controls, Session, teleop
+from pipeline.robots.session import Controls, Session
+from stages.teleop import teleop
 
 HZ, TICKS, ROUNDS = 50.0, 250, 3
 SIX = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")

@@ -1,15 +1,22 @@
-"""Judging: whether an attempt has succeeded, as far as a robot can perceive it."""
+"""Judging: whether an attempt has succeeded or fails, as far as a robot can perceive it."""
 
 import numpy as np
 
 from pipeline.protocols import Observation
 from pipeline.simulation.tasks import PickPlace
-from pipeline.triggers import Senses
+from pipeline.triggers import TRIGGERS, Senses, family, fired
 from schemas.recipe import HarvestConfig
 
 LOW_M = 0.012
 """Perceived height above rest that still counts as on the table [m]: six standard deviations of the noise."""
 _ONE = np.arange(1)
+_ENDLESS = 1 << 30
+
+
+def _senses(task: PickPlace) -> Senses:
+    """Senses of one attempt that a person watches: no time is too long."""
+    return Senses(1, _ENDLESS, HarvestConfig(), within_m=task.within_m, away_m=task.hand_away_m, open_m=task.open_m,
+                  low_m=LOW_M, hold=task.hold_ticks)
 
 
 class Judge:
@@ -25,9 +32,7 @@ class Judge:
 
     def reset(self) -> None:
         """Forget everything: another attempt begins."""
-        t = self._task
-        self._senses = Senses(1, t.ticks, HarvestConfig(), within_m=t.within_m, away_m=t.hand_away_m, open_m=t.open_m,
-                              low_m=LOW_M, hold=t.hold_ticks)
+        self._senses = _senses(self._task)
 
     def see(self, observation: Observation) -> None:
         """Take in one tick."""
@@ -40,3 +45,30 @@ class Judge:
     def phase(self) -> str:
         """Subtask reached: reach, carry or place."""
         return self._senses.phase(0)
+
+
+class Alarm:
+    """Notices that a policy fails, by the triggers that stop it at work; a person at the controls may do as they like.
+
+    Args:
+        task: its distances and hold time.
+    """
+
+    def __init__(self, task: PickPlace) -> None:
+        self._task, self._senses = task, _senses(task)
+        self.raised: tuple[str, str] | None = None
+        """Trigger and failure family, once one has fired since the policy took command."""
+
+    def reset(self) -> None:
+        """The policy takes command, from here."""
+        self._senses, self.raised = _senses(self._task), None
+
+    def see(self, observation: Observation) -> bool:
+        """Take in one tick of the policy's; whether the alarm is raised by it."""
+        self._senses.update(observation, _ONE)
+        index = int(fired(self._senses, _ONE)[0])
+        if self.raised is not None or index < 0:
+            return False
+        trigger = list(TRIGGERS)[index]
+        self.raised = trigger, family(trigger, self._senses.phase(0))
+        return True

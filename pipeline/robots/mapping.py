@@ -78,7 +78,7 @@ class JointDriver:
     """Any other robot: targets go through by name; axes jog the joints one by one, in the robot's order.
 
     Args:
-        signals: the robot's columns; its state begins with the columns of its action.
+        signals: the robot's columns; every position that it is commanded, it also measures.
         jog: how far full speed moves each action column a tick, or for speeds their full value, shape (k,).
     """
 
@@ -86,6 +86,7 @@ class JointDriver:
         self._names, self._jog = signals.action, jog
         self._rate = np.array([name.endswith(RATES) for name in signals.action])
         self._grips = np.array(["gripper" in name for name in signals.action])
+        self._measured = [signals.state.index(n) if n in signals.state else -1 for n in signals.action]
         self._targets: Array | None = None
 
     def action(self, command: Command, observation: Observation) -> Array:
@@ -106,7 +107,7 @@ class JointDriver:
     def hold(self, observation: Observation) -> Array:
         """See Driver."""
         if self._targets is None:
-            self._targets = np.where(self._rate, 0.0, observation.state[0, :len(self._names)])
+            self._targets = np.where(self._rate, 0.0, np.append(observation.state[0], 0.0)[self._measured])
         return np.where(self._rate, 0.0, self._targets)
 
 

@@ -10,8 +10,9 @@ from pipeline.errors import RobotError
 from pipeline.recording import read_episode
 from pipeline.robots.gamepad import AXES, BUTTONS, Gamepad
 from pipeline.robots.mapping import ArmDriver
+from pipeline.robots.session import Controls, Session
 from pipeline.robots.simulated import ARM_LIMITS
-from stages.teleop import Controls, Session, teleop
+from stages.teleop import teleop
 
 GAME_CONTROLLER = 1  # SDL_JOYSTICK_TYPE_GAMECONTROLLER
 

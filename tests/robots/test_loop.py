@@ -15,6 +15,7 @@ from pipeline.lerobot_view.training_data import TrainingData
 from pipeline.recording import read_episode, read_frames
 from pipeline.simulation.world import CONTROLLER_WIDTH
 from pipeline.store import Store
+from pipeline.triggers import TRIGGERS
 from schemas.consent import Consent
 
 RECIPE = """
@@ -107,3 +108,23 @@ def test_a_person_takes_over_from_the_released_policy(taught, pad, plugins_every
     assert trace.action[8:14, 2] == pytest.approx(0.006)
     planned = np.abs(trace.controller[[13, 14], CONTROLLER_WIDTH:]).sum(axis=1)
     assert planned[0] > 0 and not np.array_equal(*trace.controller[[13, 14], CONTROLLER_WIDTH:]), "it plans anew"
+
+
+@pytest.mark.parametrize("stop", [True, False], ids=["it ends the attempt", "the person is told"])
+def test_a_trigger_notices_where_the_policy_fails(taught, pad, plugins_everywhere, capsys, stop):
+    (policy,) = taught.policies()  # after twenty steps of training it fails for certain
+    order = TeleopOrder(teleop="lerobot:virtual_pad", teleop_keys=pad([{}]), speed=0.0, operator="p1", consent="form-1",
+                        policy=policy.id[:8], stop_on_trigger=stop, max_s=20.0)
+    run_teleop(order, taught.root)
+    episode = taught.episodes(policy=policy.id)[-1]
+    _, trace = read_episode(taught.blob(episode.blob))
+    (noticed,) = [e for e in trace.events if e.name == "trigger"]
+    trigger, _, family = noticed.text.partition(", ")
+    assert trigger in TRIGGERS and family.startswith(f"{trigger}-")
+    assert f"FAILS: {trigger}" in capsys.readouterr().err
+    ended = episode.outcome
+    if stop:
+        assert (ended.label, ended.judged_by, ended.trigger, ended.family) == ("failure", "sensors", trigger, family)
+        assert ended.tick == noticed.tick == episode.frames - 1
+    else:
+        assert (ended.label, episode.frames) == ("unknown", 400), "the person did nothing, and time was up"

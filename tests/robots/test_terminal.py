@@ -161,6 +161,7 @@ def test_without_a_terminal_the_keyboard_says_so_in_three_lines(store, tmp_path)
     ({"policy": "champion"}, "no loop of this store has released a policy", "hardcase loop"),
     ({"cameras": ("nose",)}, "unknown camera 'nose'", "front, top"),
     ({"stratum": "odd"}, "unknown stratum 'odd'", "beside, common, large"),
+    ({"operator": "Anna Smith"}, "'Anna Smith' is no pseudonym", "never a person's name"),
     ({"task": "juggle"}, "unknown task 'juggle'", "pick-place"),
     ({"robot": "lerobot:virtual_six", "robot_keys": {"port": "x"}, "cameras": ("top",)},
      "--camera is for simulated robots", "--robot-key cameras"),

@@ -1,10 +1,11 @@
-"""A LeRobot plugin package with two robots: the reference arm in a physics engine of its own, and a small one.
+"""A LeRobot plugin package with three robots: the reference arm in its own physics engine, a small one, a rover.
 
 LeRobot finds it as it finds every plugin: by the name of its distribution.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -36,8 +37,14 @@ class VirtualSixConfig(RobotConfig):
     broken_encoder_at: int = -1
 
 
+@RobotConfig.register_subclass("virtual_rover")
+@dataclass
+class VirtualRoverConfig(RobotConfig):
+    pass
+
+
 class _Plugged(Robot):
-    """What both have in common: nothing to calibrate."""
+    """What all have in common: nothing to calibrate."""
 
     def __init__(self, config):
         super().__init__(config)
@@ -137,4 +144,19 @@ class VirtualSix(_Plugged):
         for name, target in action.items():
             assert np.isfinite(target), "a NaN reached the motors"
             self.position[name] += 0.5 * (target - self.position[name])
+        return action
+
+
+class VirtualRover(_Plugged):
+    """Takes speeds, which it does not measure, and tells its battery."""
+
+    config_class, name = VirtualRoverConfig, "virtual_rover"
+    action_features: ClassVar = {"linear_velocity": float, "angular_velocity": float}
+    observation_features: ClassVar = {"battery_percent": float}
+
+    def get_observation(self):
+        return {"battery_percent": 100.0 - self.ticks}
+
+    def send_action(self, action):
+        self.ticks += 1
         return action
