@@ -8,7 +8,7 @@ from flows.ingesting import Taken
 from pipeline.check.door import Verdicts
 from pipeline.errors import ConfigError
 from pipeline.frames import FeatureTable
-from pipeline.logs.convert import FRAMES
+from pipeline.logs.convert import CAMERA, FRAMES
 from pipeline.logs.tables import FrameFile
 from pipeline.store import Store
 from schemas.conversion import Conversion
@@ -17,8 +17,6 @@ from schemas.episode import Episode
 from schemas.ingest import IngestMap
 from schemas.recipe import DatasetConfig, Recipe
 from stages.build import build
-
-CAMERA = "camera."
 
 
 @dataclass(frozen=True, slots=True)

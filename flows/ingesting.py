@@ -10,13 +10,13 @@ from tempfile import mkdtemp
 
 from pipeline.errors import RecordingError
 from pipeline.logs.child import Children
-from pipeline.logs.convert import FRAMES, PROGRESS, PROGRESS_S
+from pipeline.logs.convert import CAMERA, FRAMES, PROGRESS, PROGRESS_S
 from pipeline.recording.quarantine import QUARANTINE, note_refused
 from pipeline.store import Store
-from schemas.conversion import Conversion, RawLog
+from schemas.conversion import CameraFile, Conversion, RawLog
 from schemas.episode import Episode
 from schemas.ingest import IngestMap
-from stages.ingest import conversion_id, episodes_of, ingest
+from stages.ingest import camera_hashes, code_hash, conversion_id, episodes_of, ingest
 
 MAGIC = b"\x89MCAP0\r\n"
 BEGIN = "name MCAP recordings; rosbag2 folders of another kind are converted first: ros2 bag convert"
@@ -79,18 +79,35 @@ class Ingest:
         """Convert the stored bytes, which are those that were hashed, whatever happens to the file meanwhile."""
         folder, log = Path(mkdtemp(dir=self._store.tmp, prefix="ingest-")), self._store.blob(sha)
         try:
+            known, kept = self._known_cameras(sha)
             with _watched(folder / PROGRESS, log.stat().st_size, watch):
                 made = ingest(log, self._declared, sha=sha, folder=folder, children=self._children,
-                              accept_truncated=self._accept)
+                              accept_truncated=self._accept, known=known)
             if made.state == "converted":
-                names = [FRAMES, *(f"camera.{name}" for name in self._declared.cameras)]
+                names = [FRAMES, *(CAMERA + name for name in self._declared.cameras)]
                 there = [name for name in names if (folder / name).is_file()]
                 shas = self._store.put_blobs([folder / name for name in there], move=True)
-                made = made.model_copy(update={"files": dict(zip(there, shas, strict=True))})
+                made = made.model_copy(update={"files": dict(zip(there, shas, strict=True)) | kept})
             self._store.add_conversion(made)
             return made
         finally:
             rmtree(folder, ignore_errors=True)
+
+
+    def _known_cameras(self, sha: str) -> tuple[dict[str, tuple[Path, CameraFile]], dict[str, str]]:
+        """Images that were taken of this log already, by the same code: camera -> file, and file name -> blob."""
+        wanted = camera_hashes(self._declared, accept_truncated=self._accept)
+        known: dict[str, tuple[Path, CameraFile]] = {}
+        blobs: dict[str, str] = {}
+        for made in self._store.conversions(sha):
+            if made.result is None or made.code != code_hash():
+                continue
+            for name, before in made.made_from.items():
+                for file in [f for f, hash in wanted.items() if hash == before and name in made.files]:
+                    blobs[file] = made.files[name]
+                    known[file.removeprefix(CAMERA)] = (self._store.blob(blobs[file]),
+                                                        made.result.cameras[name.removeprefix(CAMERA)])
+        return known, blobs
 
 
 def refuse_other_files(path: Path) -> None:

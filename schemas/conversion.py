@@ -49,6 +49,7 @@ class CameraFile(Frozen):
     """The images of one camera, as they came."""
 
     images: int = Field(ge=0)
+    left_out: dict[str, int] = Field(default={}, description="reason -> messages without a usable image")
     format: str = Field(description="jpeg, png, or how the log calls it")
 
 
@@ -75,6 +76,9 @@ class Conversion(Frozen):
     mend: str = Field(default="", description="what a person can do about it")
     result: Converted | None = None
     files: dict[str, Sha256] = Field(default={}, description="frames, camera.NAME -> blob")
+    made_from: dict[str, Sha256] = Field(
+        default={}, description="camera.NAME -> hash of what decides its bytes besides log and code"
+    )
 
 
 class Ingestion(Frozen):

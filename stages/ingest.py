@@ -1,7 +1,9 @@
 """Ingest: somebody else's log and a declared map become a conversion, and that becomes episodes."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 from pipeline import arrow, frames
 from pipeline.errors import ConfigError, RecordingError
@@ -13,13 +15,14 @@ from pipeline.store.ingests import INGEST
 from schemas import conversion as shapes
 from schemas import ingest as maps
 from schemas.consent import NO_CONSENT
-from schemas.conversion import Conversion, Converted, Ingestion
+from schemas.conversion import CameraFile, Conversion, Converted, Ingestion
 from schemas.episode import Episode, Outcome, Segment
 from schemas.ingest import IngestMap, SaidOutcome
 from schemas.scene import SceneSpec
 
 LABELS = ("name", "task", "consent", "operator", "site")
 """What a map says about episodes and not about reading: a change of these converts nothing again."""
+NOTHING: Mapping[str, tuple[Path, CameraFile]] = MappingProxyType({})
 BYTES_A_SECOND = 2.5e5
 """CPU time that each byte of a log is worth; packed messages of a few bytes are the slowest to read."""
 OTHERS = ("child", "fingerprint", "inspection", "roles", "suggest", "survey", "worker")
@@ -27,16 +30,18 @@ OTHERS = ("child", "fingerprint", "inspection", "roles", "suggest", "survey", "w
 
 
 def ingest(log: Path, declared: IngestMap, *, sha: str, folder: Path, children: Children,
-           accept_truncated: bool = False) -> Conversion:
+           accept_truncated: bool = False, known: Mapping[str, tuple[Path, CameraFile]] = NOTHING) -> Conversion:
     """Convert one log in a limited child, or say why it cannot be; a bad log is a result, not an error.
 
     Args:
         log: an MCAP file, under whatever name.
         declared: how to read it.
         sha: hash of the log.
-        folder: an empty folder for the files that are made: `frames`, and `camera.NAME` for each camera.
+        folder: an empty folder for the files that are made: `frames`, and `camera.NAME` for each camera that is
+            not known.
         children: where foreign files are read.
         accept_truncated: keep what comes before the first damage or missing byte.
+        known: camera -> the file that an earlier conversion made of its images; see `camera_hashes`.
 
     Returns:
         The conversion without its files, whose hashes are known once they are stored.
@@ -45,11 +50,13 @@ def ingest(log: Path, declared: IngestMap, *, sha: str, folder: Path, children: 
         StoreError: the disk is full.
     """
     made = Conversion(id=conversion_id(sha, declared, accept_truncated=accept_truncated), log=sha,
-                      reads=_reads(declared), code=code_hash(), state="refused")
+                      reads=_reads(declared), code=code_hash(), state="refused",
+                      made_from=camera_hashes(declared, accept_truncated=accept_truncated))
     try:
         limits = Limits.of(log, bytes_a_second=BYTES_A_SECOND)
+        there = {name: (str(file), told.model_dump(mode="json")) for name, (file, told) in known.items()}
         told = children.call(conversions.convert, str(log), declared.model_dump_json(), str(folder), accept_truncated,
-                             where=log, limits=limits)
+                             there, where=log, limits=limits)
     except RecordingError as error:
         return made.model_copy(update={"state": "quarantined", "reason": error.what, "mend": error.mend})
     except ConfigError as error:
@@ -60,6 +67,13 @@ def ingest(log: Path, declared: IngestMap, *, sha: str, folder: Path, children: 
 def conversion_id(sha: str, declared: IngestMap, *, accept_truncated: bool = False) -> str:
     """Id of what a log becomes: it follows from the log, what the map says about reading, and the code."""
     return short_id("conversion", sha, _reads(declared), code_hash(), accept_truncated)
+
+
+def camera_hashes(declared: IngestMap, *, accept_truncated: bool = False) -> dict[str, str]:
+    """camera.NAME -> hash of what decides which images are taken of a log; which frame uses which plays no part."""
+    return {conversions.CAMERA + name: sha256(json.dumps([c.topic, c.field, c.clock or declared.clock,
+                                                          accept_truncated]).encode())
+            for name, c in declared.cameras.items()}
 
 
 def code_hash() -> str:

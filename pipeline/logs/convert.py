@@ -4,6 +4,7 @@ What is taken goes to spools on the disk as it comes; then the episodes are laid
 """
 
 import time
+from collections.abc import Mapping
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,8 @@ from schemas.conversion import CameraFile, TopicUse
 from schemas.ingest import IngestMap, Marker, TopicOutcome
 
 FRAMES = "frames"
-"""The file of frames; the images of a camera lie beside it in camera.NAME."""
+"""The file of frames; the images of a camera lie beside it in a file of their own, CAMERA and its name."""
+CAMERA = "camera."
 PROGRESS = "progress"
 """A file that says how many bytes of the log were read so far."""
 PROGRESS_S = 0.5
@@ -29,14 +31,16 @@ PROGRESS_S = 0.5
 _LISTED = 20
 
 
-def convert(log: str, declared: str, folder: str, accept_truncated: bool = False) -> dict[str, Any]:
+def convert(log: str, declared: str, folder: str, accept_truncated: bool = False,
+            known: dict[str, tuple[str, dict[str, Any]]] | None = None) -> dict[str, Any]:
     """Convert one log; made for a child process, so it takes texts and gives what JSON knows.
 
     Args:
         log: path of an MCAP file.
         declared: an IngestMap as JSON; its labels play no part.
-        folder: an empty folder; gets `frames` and one `camera.NAME` for each camera.
+        folder: an empty folder; gets `frames` and one `camera.NAME` for each camera that is not known.
         accept_truncated: keep what comes before the first damage or missing byte.
+        known: camera -> file and CameraFile that an earlier conversion of this log made of the same images.
 
     Returns:
         A Converted.
@@ -47,24 +51,25 @@ def convert(log: str, declared: str, folder: str, accept_truncated: bool = False
         StoreError: the disk is full.
     """
     try:
-        return _convert(Path(log), IngestMap.model_validate_json(declared), Path(folder), accept_truncated)
+        asked, there = IngestMap.model_validate_json(declared), {
+            name: (Path(file), CameraFile.model_validate(told)) for name, (file, told) in (known or {}).items()}
+        return _convert(Path(log), asked, Path(folder), accept_truncated, there)
     except OSError as error:
         raise explain(error, folder) from error
 
 
-def _convert(log: Path, asked: IngestMap, into: Path, accept_truncated: bool) -> dict[str, Any]:
-    reading = _Reading(asked, into)
+def _convert(log: Path, asked: IngestMap, into: Path, accept_truncated: bool,
+             known: Mapping[str, tuple[Path, CameraFile]]) -> dict[str, Any]:
+    reading = _Reading(asked, into, known)
     with open_log(log, accept_truncated=accept_truncated) as reader:
         reading.run(reader)
         topics, problems = reading.topics(reader), [p.what for p in reader.problems]
-    for camera in reading.cameras:
-        camera.writer.close()
+    cameras = {camera.name: camera.close() for camera in reading.cameras}
     reading.require(log, topics)
     taken = tracks(reading.states, reading.cameras, log, problems)
     result = Framing(asked, taken, reading.events, log, problems).write(into / FRAMES)
     for spool in into.glob("spool.*"):
         spool.unlink()
-    cameras = {c.name: CameraFile(images=c.writer.images, format=c.writer.format) for c in reading.cameras}
     told = result.model_copy(update={"topics": topics, "problems": tuple(problems), "cameras": cameras})
     return told.model_dump(mode="json")
 
@@ -72,11 +77,12 @@ def _convert(log: Path, asked: IngestMap, into: Path, accept_truncated: bool) ->
 class _Reading:
     """One pass over a log: every batch is decoded once and handed to all that want something of its topic."""
 
-    def __init__(self, asked: IngestMap, folder: Path) -> None:
+    def __init__(self, asked: IngestMap, folder: Path, known: Mapping[str, tuple[Path, CameraFile]]) -> None:
         sources = [(name, source) for name, many in asked.features.items() for source in many]
         self.states = [StateIntake(name, source, asked.clock, folder / f"spool.{k}", asked.robot)
                        for k, (name, source) in enumerate(sources)]
-        self.cameras = [CameraIntake(name, camera, asked.clock, folder) for name, camera in asked.cameras.items()]
+        self.cameras = [CameraIntake(name, camera, asked.clock, folder, known.get(name))
+                        for name, camera in asked.cameras.items()]
         told = (asked.episodes, asked.outcome)
         self.events = [EventIntake(w, asked.clock) for w in told if isinstance(w, Marker | TopicOutcome)]
         self._asked, self._progress = asked, folder / PROGRESS
@@ -130,7 +136,8 @@ class _Reading:
         except RecordingError as error:
             self._decoders[channel.number] = error
             return False
-        return channel.topic in self._by_topic
+        takers = self._by_topic.get(channel.topic, ())
+        return any(not isinstance(taker, CameraIntake) or taker.writer is not None for taker in takers)
 
     def _use(self, reader: LogReader, channel: Channel) -> TopicUse:
         intakes = self._by_topic.get(channel.topic, [])

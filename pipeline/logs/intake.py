@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from pipeline.errors import ConfigError
 from pipeline.logs.batch import Batch
-from pipeline.logs.cameras import ImageWriter
+from pipeline.logs.cameras import Images, ImageWriter
 from pipeline.logs.episodes import Event
 from pipeline.logs.fields import Fields
 from pipeline.logs.mapping import EXAMPLE, Taker, said
 from pipeline.logs.spool import Spool, Stamps
+from schemas.conversion import CameraFile
 from schemas.ingest import Camera, Clock, Marker, Source, TopicOutcome, Value
 
 LATEST_NS = 1 << 62
@@ -124,17 +125,36 @@ class EventIntake(_Clocked):
 
 
 class CameraIntake(_Clocked):
-    """The images of one camera: bytes to a file of their own, numbers to a spool."""
+    """The images of one camera: bytes to a file of their own, numbers to a spool.
 
-    def __init__(self, name: str, camera: Camera, clock: Clock, folder: Path) -> None:
+    Args:
+        known: the file that an earlier conversion made of the same images, and what it said of it; nothing is
+            taken from the log then.
+    """
+
+    def __init__(self, name: str, camera: Camera, clock: Clock, folder: Path,
+                 known: tuple[Path, CameraFile] | None = None) -> None:
         super().__init__(camera.topic, camera.clock or clock)
-        self.name, self.camera = name, camera
-        self.file = folder / f"camera.{name}"
-        self.writer, self.spool = ImageWriter(self.file), Spool(folder / f"spool.camera.{name}", 1)
+        self.name, self.camera, self._known = name, camera, known
+        self.spool = Spool(folder / f"spool.camera.{name}", 1)
+        self.writer = ImageWriter(folder / f"camera.{name}") if known is None else None
+        if known is not None:
+            self.refused.update(known[1].left_out)
+            stamps = Images(known[0]).stamps_ns()
+            self.spool.append(stamps, np.arange(stamps.size, dtype=np.float64)[:, None])
+
+    def close(self) -> CameraFile:
+        """Finish the file and say what is in it."""
+        if self.writer is None:
+            assert self._known is not None
+            return self._known[1]
+        self.writer.close()
+        return CameraFile(images=self.writer.images, format=self.writer.format or "unknown",
+                          left_out=dict(sorted(self.refused.items())))
 
     def feed(self, batch: Batch, fields: Fields) -> None:
         """See Intake."""
-        if (timed := self._times(batch, fields)) is None:
+        if self.writer is None or (timed := self._times(batch, fields)) is None:
             return
         times, possible = timed
         blobs = fields.blobs.get(self.camera.field)
@@ -157,4 +177,4 @@ class CameraIntake(_Clocked):
         if texts := fields.texts.get("encoding") or fields.texts.get("format"):
             size = [int(fields.values[key][0]) for key in ("width", "height") if key in fields.values]
             return " ".join([texts[0], *(["x".join(map(str, size))] if size else [])])
-        return "unknown"
+        return ""

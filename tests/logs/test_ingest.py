@@ -135,6 +135,21 @@ def test_only_what_changed_is_done_again_and_the_old_result_stays(ingest, walk, 
         assert [p for p in unreferenced(opened, grace_s=0).pieces if p.kind == "blob"] == []
 
 
+def test_images_are_not_taken_again_when_only_the_features_change(ingest, walk, store, tmp_path):
+    declared = MAP | {"cameras": {"head": {"topic": "/cam"}}}
+    log = walk()
+    first = ingest(log, "--json", declared=declared)[1]["logs"][0]
+    other = ingest(log, "--json", declared=declared | {"fps": 10})[1]["logs"][0]
+    renamed = ingest(log, "--json", declared=MAP | {"cameras": {"front": {"topic": "/cam", "max_skew_s": 0.5}}}
+                     )[1]["logs"][0]
+    assert other["files"]["camera.head"] == renamed["files"]["camera.front"] == first["files"]["camera.head"]
+    assert other["cameras"] == first["cameras"] == {"head": {"images": 63, "format": "jpeg", "left_out": {}}}
+    assert first["skews"]["camera.head"] == renamed["skews"]["camera.front"]
+    shutil.rmtree(store)
+    afresh = ingest(log, "--json", declared=declared | {"fps": 10})[1]["logs"][0]
+    assert afresh["files"] == other["files"]  # what was kept changed no byte
+
+
 def test_rebuilding_in_another_store_gives_the_same_bytes(ingest, walk, tmp_path, monkeypatch):
     log = walk()
     first = ingest(log, "--json", declared=MAP)[1]["logs"][0]
