@@ -80,7 +80,7 @@ def run_teleop(order: TeleopOrder, root: Path, *, as_json: bool = False) -> bool
     with Store.open(root, create=True) as store:
         number = sum(info.control == TELEOP for info in store.runs().values())
         run = short_id("teleop session", number)
-        with stop.listening(), store.lease(run) as lease:
+        with store.lease(run) as lease:
             consent = _consent(order, store)
             try:
                 _drive(order, store, lease, number, consent, stop, attempts)
@@ -119,9 +119,10 @@ def _drive(order: TeleopOrder, store: Store, lease: Lease, number: int, consent:
         device.connect()  # after the robot: its calibration may ask questions on the terminal
         print(_help(device), file=sys.stderr, flush=True)
         try:
-            for closed in teleop(driven.robot, controls, driven.scene_of, session):
-                keep(store, lease, closed)
-                attempts.append(closed)
+            with stop.listening():  # not before: a Ctrl-C must end a device that does not connect
+                for closed in teleop(driven.robot, controls, driven.scene_of, session):
+                    keep(store, lease, closed)
+                    attempts.append(closed)
         finally:
             line.end()
             if driven.robot.late:

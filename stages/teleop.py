@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.errors import HardcaseError, RecordingError, RobotError
+from pipeline.errors import HardcaseError, RecordingError
 from pipeline.protocols import Array, Call, Command, LiveRobot, Observation
 from pipeline.recording.live import Closed, LiveRecorder
 from pipeline.recording.live_header import beginning
@@ -25,7 +25,7 @@ _ENDS: tuple[Call, ...] = ("success", "failure", "unknown", "quit")
 def teleop(robot: LiveRobot, controls: Controls, scene_of: SceneOf, session: Session) -> Iterator[Closed]:
     """Run attempts until all are done or the person quits; each is handed out as soon as its file is whole.
 
-    A robot, device or limit that fails ends its attempt, which is handed out with label 'unknown'; the error
+    A robot, device, policy or limit that fails ends its attempt, which is handed out with label 'unknown'; the error
     follows. Robot and device are connected by the caller, and given back by it.
 
     Args:
@@ -109,7 +109,7 @@ class _Attempt:
                     while outcome is None:
                         outcome = self._tick(tick, take)
                         tick += 1
-            except RobotError as error:
+            except HardcaseError as error:
                 failure = error
                 outcome = Outcome(label="unknown", judged_by="operator", reason=f"cut off: {error.what}")
             if recorder.frames == 0:

@@ -18,19 +18,19 @@ class Pace:
                  sleep: Callable[[float], None] = time.sleep) -> None:
         self._period_s = 1 / hz / speed if speed > 0 else 0.0
         self._now, self._sleep = now, sleep
-        self._due_s = now()
+        self._due_s: float | None = None
         self.late = 0
         """Ticks that came over half a period late."""
 
     def restart(self) -> None:
-        """Count from now: somebody waited on purpose."""
-        self._due_s = self._now()
+        """Count from the next tick: somebody waited on purpose."""
+        self._due_s = None
 
     def wait(self) -> None:
         """Sleep until the next tick is due."""
         if not self._period_s:
             return
-        self._due_s += self._period_s
+        self._due_s = (self._now() if self._due_s is None else self._due_s) + self._period_s
         ahead_s = self._due_s - self._now()
         if ahead_s > 0:
             self._sleep(ahead_s)
