@@ -1,6 +1,6 @@
 """Files that were damaged or forged, each read in a limited child: no hang, no crash, and no silent difference.
 
-500 of them here; more by their number: HARDCASE_FUZZ=10000 pytest -s tests/logs/test_fuzz.py
+500 of them here; more by their number: HARDCASE_FUZZ=10000 .venv/bin/python -m pytest -s tests/logs/test_fuzz.py
 """
 
 import hashlib
@@ -16,6 +16,7 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
+import pytest
 from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 
@@ -25,6 +26,7 @@ from pipeline.logs.fingerprint import fingerprint_here
 from pipeline.logs.stream import open_log
 
 NUMBER = int(os.environ.get("HARDCASE_FUZZ", "500"))
+pytestmark = pytest.mark.timeout(300 + NUMBER)
 
 
 def sibling(name: str) -> ModuleType:
