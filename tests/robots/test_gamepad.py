@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from flows.teleop_devices import TeleopOrder, open_device
 from pipeline.errors import RobotError
 from pipeline.recording import read_episode
 from pipeline.robots.gamepad import AXES, BUTTONS, Gamepad
@@ -114,6 +115,25 @@ def test_a_gamepad_that_is_unplugged_ends_the_attempt_which_is_kept(pad, simulat
         next(attempts)
     assert closed.episode.outcome.reason == "cut off: the gamepad is gone" and closed.episode.frames == 11
     assert read_episode(closed.path)[0] == closed.episode
+
+
+def test_lerobots_own_gamepad_teleoperator_drives_and_takes_over(pad, tmp_path):
+    order = TeleopOrder(teleop="lerobot:gamepad", teleop_keys={"calibration_dir": str(tmp_path)})
+    device = open_device(order)
+    device.connect()
+    pad.push("left_y", -1.0)  # lerobot reads the raw joystick: axis 1 forward, button 5 intervenes, 3 is success
+    device.read()
+    said = device.read()
+    assert said.axes == pytest.approx((1.0, 0.0, 0.0, 0.0), abs=1e-4) and said.grip == 0.0
+    assert said.intervening is False and said.calls == set()
+    pad.hold(BUTTONS[5])
+    pad.hold(BUTTONS[3])
+    said = device.read()
+    assert said.intervening is True and said.calls == {"success"}
+    assert device.read().calls == set()
+    device.disconnect()
+    with pytest.raises(RobotError, match=r"lerobot:gamepad does not answer"):
+        device.read()
 
 
 def test_without_a_gamepad_the_error_says_how_many_devices_there_are(sdl):
