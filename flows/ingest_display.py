@@ -1,7 +1,7 @@
 """What hardcase ingest says: a table and problems for people, JSON for machines, a bar while it works."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Sequence, Sized
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -131,12 +131,16 @@ def _told(rows: Sequence[Row], built: Built | None, store: Store) -> str:
         lines += [f"{row.path.name}: {line}" for line in _problems(row)]
     if built is not None:
         v = built.version
-        lines.append(f"version {v.id}: {len(v.episodes)} episodes, {v.frames} frames, {len(v.held_out)} held out: "
+        lines.append(f"version {v.id}: {_count(v.episodes, "episode")}, {v.frames} frames, {len(v.held_out)} held out: "
                      f"{store.path(v.path)}")
-        lines += [f"  left out: {n} episodes: {why}" for why, n in built.left_out.items()]
+        lines += [f"  left out: {_count(range(n), 'episode')}: {why}" for why, n in built.left_out.items()]
         if built.cameras:
             lines.append(f"  cameras that wait in the store, not in the version: {', '.join(built.cameras)}")
     return "\n".join(lines)
+
+
+def _count(things: Sized, name: str) -> str:
+    return f"{len(things)} {name}{'' if len(things) == 1 else 's'}"
 
 
 def _cells(row: Row) -> list[str]:
