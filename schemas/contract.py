@@ -88,6 +88,8 @@ class Thresholds(Frozen):
                          "may lose, and half of the gap that ruins a grasp")
     jitter_periods: float = Field(default=0.5, gt=0, description="95 % of intervals lie within this share of a "
                                   "period: beyond it two messages can swap places")
+    camera_jitter_periods: float = Field(default=1.0, gt=0, description="the same for cameras: a picture that is less "
+                                         "than a period late is still nearest to its own row")
     offset_s: float = Field(default=0.2, gt=0, description="clock of one topic against the others [s]: slow cameras "
                             "take 0.15 s to deliver")
     drift_s: float = Field(default=0.05, gt=0, description="how far a topic's clock may drift off within a recording "

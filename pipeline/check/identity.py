@@ -163,11 +163,10 @@ def _near(members: Sequence[int], motions: Sequence[Motion], limit: float) -> di
     squares, width = (shares ** 2).sum(axis=1), shares.shape[1]
     found: dict[tuple[int, int], Twins] = {}
     for start in range(0, len(shares), BLOCK):
-        far = squares[start:start + BLOCK, None] + squares[None] - 2 * shares[start:start + BLOCK] @ shares.T
-        near: list[list[int]] = np.argwhere(far < (limit ** 2 + 1e-9) * width).tolist()
-        for row, b in near:
-            a = start + row
-            distance = float(np.sqrt(np.mean((shares[a] - shares[b]) ** 2)))
+        far: Rows = squares[start:start + BLOCK, None] + squares[None] - 2 * shares[start:start + BLOCK] @ shares.T
+        for a, b in _places(far < (limit ** 2 + 1e-9) * width, start):
+            apart: Rows = shares[a] - shares[b]
+            distance = float(np.sqrt(float(apart @ apart) / width))
             if a < b and distance <= limit:
                 one = motions[members[a]]
                 exact = one.digest == motions[members[b]].digest
@@ -176,6 +175,13 @@ def _near(members: Sequence[int], motions: Sequence[Motion], limit: float) -> di
                 pair = members[a], members[b]
                 found[pair] = Twins(*pair, what, 0.0 if exact else max(distance, 1e-12))
     return found
+
+
+def _places(close: NDArray[np.bool_], start: int) -> Iterator[tuple[int, int]]:
+    """Row, counted from `start`, and column of every true value."""
+    rows, columns = np.nonzero(close)
+    for row, column in zip(rows, columns, strict=True):
+        yield start + int(row), int(column)
 
 
 def _shared(members: Sequence[int], motions: Sequence[Motion]) -> dict[tuple[int, int], float]:

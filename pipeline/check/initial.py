@@ -10,7 +10,7 @@ from pipeline.check.motion import unit_of
 from pipeline.check.signals import Column, Rows, Signals, Subject
 from pipeline.check.swapped import fingerprint
 from pipeline.recording.dialect import FRAME_TOPICS
-from schemas.contract import CameraRule, Contract, Evaluation, Limit, TopicRule
+from schemas.contract import CameraRule, Contract, Evaluation, Limit, Thresholds, TopicRule
 
 SPEED_ROOM = 3
 """How much faster than in a good log a joint may move: another start asks for another turn of the wrist."""
@@ -19,8 +19,8 @@ SPEED_ROOM = 3
 def from_log(subject: Subject, *, name: str = "default") -> Contract:
     """A contract that a good log keeps, with room for what the next good log does otherwise.
 
-    Rates are those seen, gaps and jitter twice what was seen, limits what was seen and a tenth of its range,
-    speeds three times that; cameras get their fingerprint. Offsets between clocks are not taken over.
+    Rates are those seen; gaps and jitter twice what was seen, and no less than without a contract; limits what was
+    seen and a tenth of its range, speeds three times that; cameras get their fingerprint. Offsets between clocks are not taken over.
     """
     own = completed(Contract(name=name), subject)
     topics: dict[str, TopicRule] = {}
@@ -46,12 +46,13 @@ def _rule(signals: Signals, name: str) -> TopicRule:
     topic = signals.topics[name]
     if not topic.steady or topic.tabled:
         return TopicRule(type=topic.type or None, required=topic.tabled or name in FRAME_TOPICS)
-    steps = np.diff(topic.log_ns) / 1e9
+    steps, usual = np.diff(topic.log_ns) / 1e9, Thresholds()
+    share = usual.camera_jitter_periods if name in signals.cameras else usual.jitter_periods
     off = float(np.quantile(np.abs(steps - topic.period_s), 0.95))
     span = (int(topic.log_ns[-1]) - int(topic.log_ns[0])) / 1e9
     return TopicRule(type=topic.type or None, rate_hz=_tidy((len(topic) - 1) / span),
-                     max_gap_s=_tidy(max(2 * float(steps.max()), 3 * topic.period_s)),
-                     jitter_s=_tidy(max(2 * off, topic.period_s / 4)),
+                     max_gap_s=_tidy(max(2 * float(steps.max()), usual.gap_periods * topic.period_s)),
+                     jitter_s=_tidy(max(2 * off, share * topic.period_s)),
                      required=not name.startswith(("/policy/", "/reward/")))
 
 

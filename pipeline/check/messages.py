@@ -53,7 +53,8 @@ def _repeated(signals: Signals, topic: Topic, k: int, count: int) -> Finding:
 
 def coverage(signals: Signals, contract: Contract) -> Iterator[Finding]:
     """Required topics and cameras: there, of the right type, decodable, speaking from the beginning to the end."""
-    for name, rule in (*contract.topics.items(), *contract.cameras.items()):
+    cameras = {name: rule for name, rule in contract.cameras.items() if name not in contract.topics}
+    for name, rule in (*contract.topics.items(), *cameras.items()):
         topic = signals.topics.get(name)
         stamps = _stamps(signals, name)
         if not len(stamps):

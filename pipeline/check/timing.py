@@ -49,7 +49,9 @@ def jitter(signals: Signals, contract: Contract) -> Iterator[Finding]:
     for topic in _steady(signals):
         rule = contract.topics.get(topic.name)
         period = 1 / rule.rate_hz if rule and rule.rate_hz else topic.period_s
-        limit = rule.jitter_s if rule and rule.jitter_s else contract.thresholds.jitter_periods * period
+        share = contract.thresholds.camera_jitter_periods if topic.name in signals.cameras \
+            else contract.thresholds.jitter_periods
+        limit = rule.jitter_s if rule and rule.jitter_s else share * period
         off = np.abs(np.diff(topic.log_ns) / SECOND_NS - topic.period_s)
         spread = float(np.quantile(off, 0.95))
         if spread > limit:

@@ -12,6 +12,8 @@ from pipeline.check.signals import Camera, Rows, Signals, Subject
 from schemas.contract import Contract
 from schemas.finding import Finding
 
+EVEN = 0.7
+"""Share of steps like the usual one from which on a camera has a rate."""
 MANY = 16
 """Pictures from which on their number, and their fit to the joints, says something."""
 
@@ -51,14 +53,16 @@ def _every_tick(sequence: NDArray[np.int64]) -> bool:
 
 
 def _holes(signals: Signals, camera: Camera, contract: Contract) -> Iterator[Finding]:
-    """Pictures that a camera of even rate left out."""
+    """Pictures that a camera left out, by its running number; by its stamps where it has none."""
     if len(camera.stamps_ns) < MANY:
         return
-    steps = np.diff(camera.stamps_ns) / 1e9
-    period = float(np.median(steps))
-    if not period > 0 or np.mean(np.abs(steps - period) < 0.5 * period) < 0.7:
+    topic = signals.topics.get(camera.name)
+    numbers = topic.sequence if topic is not None else None
+    steps = np.diff(camera.stamps_ns if numbers is None or not numbers.any() else numbers).astype(np.float64)
+    usual = float(np.median(steps))
+    if not usual > 0 or np.mean(np.abs(steps - usual) < 0.5 * usual) < EVEN:
         return
-    missing = int(np.round(steps / period - 1).clip(min=0).sum())
+    missing = int(np.round(steps / usual - 1).clip(min=0).sum())
     limit = max(1.0, contract.thresholds.frames_share * len(camera.stamps_ns))
     if missing > limit:
         k = int(steps.argmax())
