@@ -100,6 +100,9 @@ class _Film:
                 except SimulationError as error:
                     print(f"no pictures: {error.what}; recording goes on without ({error.mend})", file=sys.stderr)
             yield
+        if self._cameras.skipped:
+            print(f"{self._cameras.skipped} states were not filmed: rendering is slower than the robot "
+                  "(fewer cameras, or a smaller --size)", file=sys.stderr)
         if filming and filming.error:
             print(f"no pictures since then: {filming.error.what} ({filming.error.mend})", file=sys.stderr)
 

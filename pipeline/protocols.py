@@ -143,6 +143,9 @@ class Picture:
 class Cameras(Protocol):
     """Any number of cameras, rendered or real; all methods are called in one thread of their own."""
 
+    skipped: int
+    """Moments that should have been taken and were not: rendering, or the wire, is slower than the robot."""
+
     def open(self) -> None:
         """Make them ready; HardcaseError says what is missing."""
         ...

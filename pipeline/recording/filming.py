@@ -11,6 +11,9 @@ from pipeline.recording.live import LiveRecorder
 _WAIT_S = 0.1
 """Longest a camera may keep the thread from noticing the end [s]."""
 
+_LAST = 100
+"""Readings after the end, for cameras that are behind; one that never runs dry is cut off there."""
+
 
 class Filming:
     """Reads cameras until it is stopped; neither a slow camera nor a broken one holds up whoever controls the robot.
@@ -26,7 +29,8 @@ class Filming:
 
     def __init__(self, recorder: LiveRecorder, cameras: Cameras) -> None:
         self._recorder, self._cameras = recorder, cameras
-        self._stop, self._opened = threading.Event(), threading.Event()
+        self._stop, self._opened, self._ready = threading.Event(), threading.Event(), False
+        self._bug: Exception = RuntimeError("cameras ended without a word")
         self.error: HardcaseError | None = None
         """What ended the filming before it was stopped."""
         self.taken: dict[str, int] = {}
@@ -34,27 +38,43 @@ class Filming:
         self._thread = threading.Thread(target=self._film, name="cameras", daemon=True)
         self._thread.start()
         self._opened.wait()
-        if self.error is not None:
+        if not self._ready:
             self._thread.join()
-            raise self.error
+            raise self.error or self._bug
 
     def _film(self) -> None:
         try:
             self._cameras.open()
+            self._ready = True
             self._opened.set()
             while not self._stop.is_set():
-                for picture in self._cameras.read(_WAIT_S):
-                    self.taken[picture.camera] = self.taken.get(picture.camera, 0) + 1
-                    self._recorder.image(picture.camera, picture.pixels, tick=picture.tick, stamp_ns=picture.stamp_ns)
+                self._hand_on(_WAIT_S)
+            for _ in range(_LAST):
+                if not self._hand_on(0.0):
+                    break
+            if self._cameras.skipped:
+                text = f"{self._cameras.skipped} moments not taken: the cameras are slower than the robot"
+                self._recorder.event("camera", text, level=30)
         except HardcaseError as error:
             self.error = error
             self._recorder.event("camera", error.what, level=40)
+        except Exception as error:
+            self._bug = error
+            raise
         finally:
             self._cameras.close()
             self._opened.set()
 
+    def _hand_on(self, timeout_s: float) -> bool:
+        """Record what the cameras have; whether they had anything."""
+        pictures = self._cameras.read(timeout_s)
+        for picture in pictures:
+            self.taken[picture.camera] = self.taken.get(picture.camera, 0) + 1
+            self._recorder.image(picture.camera, picture.pixels, tick=picture.tick, stamp_ns=picture.stamp_ns)
+        return len(pictures) > 0
+
     def stop(self) -> None:
-        """End the filming; pictures that were taken are in the recording's queue."""
+        """End the filming, once what the cameras were shown is in the recording's queue."""
         self._stop.set()
         self._thread.join()
 

@@ -5,6 +5,7 @@
 # pyright: reportUnknownVariableType=false, reportUnknownParameterType=false, reportUnknownArgumentType=false
 
 import threading
+from collections import deque
 from collections.abc import Sequence
 
 import mujoco
@@ -15,12 +16,15 @@ from pipeline.errors import unknown
 from pipeline.protocols import Picture
 from pipeline.simulation.rendering import FilmCamera
 
+BACKLOG = 64
+"""States that may wait to be rendered; one takes about 1 KB."""
+
 
 class SceneCameras:
-    """Renders the newest state that it was shown, through any number of the model's cameras; see protocols.Cameras.
+    """Renders the states that it was shown, through any number of the model's cameras; see protocols.Cameras.
 
-    A state that comes while the one before is being rendered waits; another one takes its place. So cameras fall
-    behind in rate, never in time.
+    A state can be rendered later as well as at once, so that states wait while others are being rendered. Only where
+    rendering is slower than the robot for long do the oldest give way; `skipped` counts them.
 
     Args:
         model: the model of the attempt, its cube of the right size: World.batch.get_model(0).
@@ -39,14 +43,14 @@ class SceneCameras:
                 raise unknown("camera", name, known)
         self.names, self.skipped = tuple(names), 0
         self._model, self._size, self._film = model, (width, height), None
-        self._newest: tuple[NDArray[np.float64], int, int] | None = None
+        self._waiting: deque[tuple[NDArray[np.float64], int, int]] = deque(maxlen=BACKLOG)
         self._new = threading.Condition()
 
     def show(self, state: NDArray[np.float64], tick: int, stamp_ns: int) -> None:
         """Let the cameras take a state, an mjSTATE_INTEGRATION row that nobody changes afterwards; does not wait."""
         with self._new:
-            self.skipped += self._newest is not None
-            self._newest = (state, tick, stamp_ns)
+            self.skipped += len(self._waiting) == BACKLOG
+            self._waiting.append((state, tick, stamp_ns))
             self._new.notify()
 
     def open(self) -> None:
@@ -59,14 +63,13 @@ class SceneCameras:
         self._film.frames(state[None])  # the first picture takes as long as ten others: shaders are compiled
 
     def read(self, timeout_s: float) -> list[Picture]:
-        """One picture a camera of the newest state, or none where nothing new was shown in time."""
+        """One picture a camera of the state that waits longest, or none where nothing was shown in time."""
         with self._new:
-            if self._newest is None:
+            if not self._waiting:
                 self._new.wait(timeout_s)
-            newest, self._newest = self._newest, None
-        if newest is None or self._film is None:
-            return []
-        state, tick, stamp_ns = newest
+            if not self._waiting or self._film is None:
+                return []
+            state, tick, stamp_ns = self._waiting.popleft()
         pictures: list[Picture] = []
         for name in self.names:
             self._film.look(name)

@@ -37,10 +37,11 @@ class Painted(SceneCameras):
     def read(self, timeout_s: float) -> list[Picture]:
         """One picture a camera."""
         with self._new:
-            self._new.wait(timeout_s)
-            newest, self._newest = self._newest, None
+            if not self._waiting:
+                self._new.wait(timeout_s)
+            waiting = [self._waiting.popleft()] if self._waiting else []
         noise = np.random.default_rng(0).integers(0, 255, (120, 160, 3)).astype(np.uint8)
-        return [Picture(name, noise, newest[2], newest[1]) for name in self.names] if newest else []
+        return [Picture(name, noise, stamp_ns, tick) for _, tick, stamp_ns in waiting for name in self.names]
 
 
 def main() -> None:
