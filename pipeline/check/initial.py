@@ -20,7 +20,8 @@ def from_log(subject: Subject, *, name: str = "default") -> Contract:
     """A contract that a good log keeps, with room for what the next good log does otherwise.
 
     Rates are those seen; gaps and jitter twice what was seen, and no less than without a contract; limits what was
-    seen and a tenth of its range, speeds three times that; cameras get their fingerprint. Offsets between clocks are not taken over.
+    seen and a tenth of its range, speeds three times that; cameras get their fingerprint. Offsets between clocks are
+    not taken over.
     """
     own = completed(Contract(name=name), subject)
     topics: dict[str, TopicRule] = {}
