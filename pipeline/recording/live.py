@@ -58,7 +58,7 @@ class LiveRecorder:
         software: software_commit, simulator_version and further strings for the metadata.
         consent: the record that the episode refers to, where a person is recorded.
         layout: messages of a tick, for a robot other than the reference arm; see live_rows.joint_layout.
-        clock: log time now [ns]; must not go back.
+        clock: log time now [ns]; wall time that goes on monotonically where None.
         queue_bytes: what may wait for the disk [B].
         reserve_bytes: free space below which no recording starts [B].
 
@@ -74,7 +74,7 @@ class LiveRecorder:
         self.path, self.frames = path, 0
         self._episode, self._software, self._layout = episode, dict(software or {}), layout
         self._consent = consent
-        self._clock = clock or steady_clock()
+        self._clock, self._latest = clock or steady_clock(), 0
         self._topics = set[str]()
         self._numbered = self._closed = False
         first = episode.segments[0]
@@ -90,13 +90,13 @@ class LiveRecorder:
             raise
 
     def _begin(self, attachments: Mapping[str, bytes], queue_bytes: int) -> None:
-        now = self._clock()
+        now = self.now()
         metadata = {START: start_metadata(self._episode, self._software, self._consent)}
         self._file = LiveFile(metadata, attachments, now)
         if (urdf := attachments.get("robot.urdf")) is not None:
             self._file.add("/robot_description", 0, now, now, cdr.text(urdf.decode()))
             self._file.seal()
-        self._writer = LiveWriter(self._handle, self._file, self._lay, self._clock, queue_bytes=queue_bytes)
+        self._writer = LiveWriter(self._handle, self._file, self._lay, self.now, queue_bytes=queue_bytes)
 
     # -- while it happens -------------------------------------------------------------------------------------------
 
@@ -119,7 +119,7 @@ class LiveRecorder:
                                  mend="give the same links, rewards and sizes at every tick; for a vector, a layout")
         if tick >= self.frames:
             self.frames = tick + 1
-        now = self._clock()
+        now = self.now()
         return self._writer.put(Item("tick", tick, now, now if stamp_ns is None else stamp_ns, values),
                                 values.nbytes + _OVERHEAD)
 
@@ -177,8 +177,9 @@ class LiveRecorder:
         return self.event("segment", f"{kind} {actor}", tick=at)
 
     def now(self) -> int:
-        """Time on the recording's clock [ns]."""
-        return self._clock()
+        """Time on the recording's clock [ns]; it stands still where the clock underneath goes back."""
+        self._latest = max(self._latest, self._clock())
+        return self._latest
 
     @property
     def failed(self) -> bool:
@@ -192,7 +193,7 @@ class LiveRecorder:
 
     def _put(self, topic: str, body: Body, size: int, tick: int | None, stamp_ns: int | None, *,
              low: bool = False) -> bool:
-        now = self._clock()
+        now = self.now()
         item = Item(topic, self.frames if tick is None else tick, now, now if stamp_ns is None else stamp_ns, body)
         return self._writer.put(item, size + _OVERHEAD, low=low)
 

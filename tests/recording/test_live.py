@@ -221,3 +221,14 @@ def test_further_messages_are_those_that_were_written(tmp_path, trace, start, ro
         recorder.close(SUCCESS)
     (event,) = read_episode(tmp_path / "a.mcap")[1].events
     assert (event.tick, event.level, event.name, event.text) == (0, 30, "limit", "joint 3 held")
+
+
+@pytest.mark.parametrize("jump_s", [-3600, 3600], ids=["back", "forward"])
+def test_a_clock_that_somebody_sets_does_not_break_the_order(tmp_path, trace, start, row, jump_s):
+    base = time.time_ns()
+    times = iter([*range(0, 40), *range(jump_s * 10**9, jump_s * 10**9 + 1000)])
+    with LiveRecorder(tmp_path / "a.mcap", start(), attachments={}, clock=lambda: base + next(times)) as recorder:
+        for tick in range(60):
+            recorder.tick(tick, row(trace(), tick))
+        recorder.close(SUCCESS)
+    assert read_episode(tmp_path / "a.mcap")[1].state.tobytes() == trace().state.tobytes()
