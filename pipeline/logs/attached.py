@@ -7,10 +7,11 @@ from io import FileIO
 from pathlib import Path
 
 from pipeline.errors import RecordingError
+from pipeline.logs.bounds import MAX_RECORDS, too_many
 from pipeline.logs.source import BLOCK, Source
-from pipeline.recording.errors import DAMAGED, SPLIT, not_mcap, reading, refuse
+from pipeline.recording.errors import DAMAGED, not_mcap, reading, refuse
 from pipeline.recording.fields import Attached, attachment, pairs, text
-from pipeline.recording.records import MAGIC, Op
+from pipeline.recording.records import MAGIC, MESSAGE_HEAD, Op
 from pipeline.recording.unpacking import MAX_BYTES, absurd
 
 
@@ -71,7 +72,8 @@ def _mismatch(offset: int, where: Path) -> RecordingError:
 
 def _contents(stream: FileIO, size: int, where: Path, wanted: Op) -> Iterator[tuple[int, bytes]]:
     """Where each record of one type starts, and its content."""
-    source, room = Source(stream, size), 500_000 + size // 31
+    most = MAX_RECORDS + size // MESSAGE_HEAD.size
+    source, room = Source(stream, size), most
     if not source.fill(len(MAGIC)) or source.data[: len(MAGIC)] != MAGIC:
         raise not_mcap(where)
     source.at = len(MAGIC)
@@ -81,7 +83,7 @@ def _contents(stream: FileIO, size: int, where: Path, wanted: Op) -> Iterator[tu
         if op in (0, Op.FOOTER, Op.DATA_END):
             return
         if room < 0:
-            raise refuse(f"too many records up to byte {source.offset}", where, SPLIT)
+            raise too_many(most, source.offset, where)
         if op != wanted:
             if not source.jump(9 + length):
                 return

@@ -13,20 +13,16 @@ from numpy.typing import NDArray
 from pipeline.errors import RecordingError
 from pipeline.logs.attached import pass_attachment
 from pipeline.logs.batch import Problems
+from pipeline.logs.bounds import Bounds
 from pipeline.logs.declared import MAX_DECLARED, Declared
 from pipeline.logs.source import Source
 from pipeline.logs.tally import Tally
 from pipeline.logs.walk import PIECE, heads, message_run
-from pipeline.recording.errors import DAMAGED, SPLIT, not_mcap, reading, refuse
+from pipeline.recording.errors import DAMAGED, not_mcap, reading, refuse
 from pipeline.recording.fields import Chunk, pairs, text
 from pipeline.recording.records import MAGIC, MESSAGE_FIELDS, Op
 from pipeline.recording.unpacking import MAX_BYTES, absurd, plain_bytes, read_chunk
 
-MAX_PLAIN, PLAIN_A_BYTE = 128 << 20, 200
-"""All chunks of a log together, unpacked [B]: for a small log, and what each byte of the file adds to it."""
-MAX_RECORDS, BYTES_A_RECORD = 500_000, 64
-"""Records other than messages: for a small log, and how many bytes of the file allow one more. The smallest
-chunk and its index together take about 150."""
 MAX_NAMED = 10_000
 PRIVATE = 0x80
 """From this opcode on records are an application's own."""
@@ -56,8 +52,7 @@ class Section:
         """Name and size of the first MAX_NAMED attachments."""
         self._source, self._declared, self._problems, self._where = source, declared, problems, where
         self._tolerant = tolerant
-        self._room = MAX_RECORDS + source.size // BYTES_A_RECORD
-        self._plain = MAX_PLAIN + PLAIN_A_BYTE * source.size
+        self._bounds = Bounds(source.size, where)
         self._metadata_bytes = 0
         self._zstd = zstandard.ZstdDecompressor()
 
@@ -106,16 +101,10 @@ class Section:
         if size > MAX_BYTES + 64 and (op != Op.ATTACHMENT or size > self._source.left):
             raise absurd("chunk" if op == Op.CHUNK else "record", offset, size, self._where)
         if op != Op.MESSAGE:
-            self._count(offset)
+            self._bounds.record(offset)
         elif size < MESSAGE_FIELDS:
             raise refuse(f"message at byte {offset} has {size} B", self._where, DAMAGED)
         return True
-
-    def _count(self, offset: int) -> None:
-        self._room -= 1
-        if self._room < 0:
-            limit = MAX_RECORDS + self._source.size // BYTES_A_RECORD
-            raise refuse(f"more than {limit} records up to byte {offset}", self._where, SPLIT)
 
     def _loose(self, starts: "array[int]") -> Piece:
         """Messages outside of chunks."""
@@ -128,10 +117,7 @@ class Section:
         """Header of the chunk at the window's place, within the limits."""
         source = self._source
         chunk = read_chunk(source.data, source.at + 9, source.at + 9 + size, source.offset, self._where)
-        self._plain -= chunk.size
-        if self._plain < 0:
-            raise refuse(f"chunks up to byte {source.offset} declare more than {MAX_PLAIN + PLAIN_A_BYTE * source.size}"
-                         " B together", self._where, SPLIT)
+        self._bounds.unpack(chunk.size, source.offset)
         source.at += 9 + size
         return chunk
 
@@ -169,7 +155,7 @@ class Section:
 
     def _declaration(self, plain: bytes, at: int, offset: int) -> int:
         """Take the record of a chunk that is no message; returns where it ends."""
-        self._count(offset)
+        self._bounds.record(offset)
         if at + 9 > len(plain):
             raise ValueError(f"record at byte {at} of the unpacked chunk is cut off")
         op, size = struct.unpack_from("<BQ", plain, at)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.logs.attached import read_attachments, read_metadata
 from pipeline.logs.batch import Batch, Channel, Kind, Problem, Problems
+from pipeline.logs.bounds import look_through
 from pipeline.logs.declared import Declared
 from pipeline.logs.section import Piece, Section
 from pipeline.logs.source import Source
@@ -85,6 +86,7 @@ class LogReader:
         self.channels, self.counts, self.attached = declared.channels, section.tally.counts, section.attached
         asked: dict[int, bool] = {}
         with reading(self.path, "file"):
+            look_through(self._stream, self.size, self.path)
             for piece in section.pieces():
                 yield from self._split(piece, asked, wanted)
             self._finish(source, section, declared)

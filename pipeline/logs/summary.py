@@ -4,6 +4,7 @@ import struct
 from dataclasses import dataclass
 
 from pipeline.logs.batch import Problems
+from pipeline.logs.bounds import BYTES_A_RECORD, MAX_RECORDS
 from pipeline.logs.declared import Declared
 from pipeline.logs.source import Source
 from pipeline.logs.tally import Tally, place
@@ -74,7 +75,7 @@ def check_summary(source: Source, declared: Declared, tally: Tally, problems: Pr
 
 def _records(source: Source, declared: Declared, tally: Tally, proof: Proof) -> None:
     """Every record before the footer, which `source` then holds."""
-    room, places, chunks = 500_000 + source.size // 64, 0, 0
+    room, places, chunks = MAX_RECORDS + source.size // BYTES_A_RECORD, 0, 0
     seen: dict[int, int] = {Op.ATTACHMENT_INDEX: 0, Op.METADATA_INDEX: 0}
     while True:
         if not source.fill(9):

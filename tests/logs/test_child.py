@@ -100,7 +100,7 @@ def test_each_limit_is_told_and_the_child_replaced(tmp_path, limits, message):
 
 
 def test_a_child_that_is_killed_is_told_and_replaced(tmp_path):
-    big = hostile(tmp_path / "big", 150)
+    big = hostile(tmp_path / "big", 120)
     with Children() as children:
         inspect(log(tmp_path / "a.mcap"), children=children)
         (pid,) = running()

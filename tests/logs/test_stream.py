@@ -301,6 +301,14 @@ def test_what_cannot_be_is_refused(tmp_path, data, message):
             assert options and any(message in what for _, what in found)
 
 
+def test_chunks_that_declare_too_much_together_are_refused_before_one_is_unpacked(tmp_path):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(file_of(CHANNEL, *[chunk_of(bytes(70_000), size=60 << 20)] * 4))
+    error = refusal(path)
+    assert error.what.startswith("chunks up to byte") and "declare more than" in error.what
+    assert "made to fill memory" in error.mend and "mcap filter" in error.mend
+
+
 def test_records_that_nobody_knows_are_passed_over(tmp_path):
     path = tmp_path / "a.mcap"
     path.write_bytes(file_of(CHANNEL, record(0x90, b"own"), MESSAGE, chunk_of(record(0x91, b"own") + MESSAGE)))
