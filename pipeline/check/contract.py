@@ -1,5 +1,6 @@
 """Contracts: read from YAML, completed by what the data says of itself."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -7,7 +8,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from pipeline.check.motion import unit_of
-from pipeline.check.signals import Signals, Subject
+from pipeline.check.signals import Signals, Subject, Tables
 from pipeline.documents import load_document
 from pipeline.frames import ENVIRONMENT, FEATURES, STATE
 from pipeline.recording.dialect import FRAME_TOPICS, topic_type
@@ -119,17 +120,20 @@ def _success(subject: Subject) -> Success | None:
     first = subject.recordings[0]
     named = first.episode.scene.task if first.episode is not None else None
     if subject.tables is not None:
-        named = subject.tables.manifest.get("recipe", {}).get("task")
+        named = _recipe(subject.tables).get("task")
     task = TASKS.get(str(named))
     return None if task is None else Success(within_m=task.within_m, away_m=task.hand_away_m, open_m=task.open_m,
                                              low_m=task.on_table_m, hold_ticks=task.hold_ticks)
 
 
+def _recipe(tables: Tables) -> Mapping[str, Any]:
+    """The recipe of one of our versions; nothing of one made from other robots' logs, whose task is its own."""
+    return {} if "ingested" in tables.manifest else tables.manifest.get("recipe", {})
+
+
 def _evaluation(subject: Subject) -> Evaluation | None:
     """The task that one of our versions was built for: that of its recipe, with the environment's features."""
-    if subject.tables is None or not (recipe := subject.tables.manifest.get("recipe")):
-        return None
-    if recipe.get("task") not in TASKS or "action" not in subject.tables.frames:
+    if subject.tables is None or (recipe := _recipe(subject.tables)).get("task") not in TASKS:
         return None
     reach = (0.02, 0.02, 0.02, 0.12)
     features = {name: FEATURES[name] for name in ("observation.state", "observation.environment_state", "action")}
