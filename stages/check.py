@@ -1,6 +1,6 @@
 """Check: recordings and datasets are held against a contract, each with a verdict of its own."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from pipeline.check.initial import from_log
 from pipeline.check.load import read_recording
 from pipeline.check.run import check as run_checks
 from pipeline.check.signals import Signals, Subject
+from pipeline.check.table import CHECKS
 from pipeline.errors import HardcaseError, RecordingError
 from pipeline.files import sha256, short_id
 from pipeline.logs.child import Children, Limits
@@ -45,7 +46,7 @@ class Checked:
     error: HardcaseError | None = None
 
 
-def check(items: Sequence[Item], contract: Contract, *,
+def check(items: Sequence[Item], contract: Contract, *, names: Collection[str] = CHECKS.keys(),
           progress: Callable[[int, int], None] | None = None) -> list[Checked]:
     """Check items one by one; recordings are also compared with those before them, for duplicates.
 
@@ -54,6 +55,7 @@ def check(items: Sequence[Item], contract: Contract, *,
     Args:
         items: recordings and datasets.
         contract: what is expected of each of them.
+        names: the checks to run; all of them by default.
         progress: called as (items done, items in all).
     """
     done: list[Checked] = []
@@ -61,7 +63,7 @@ def check(items: Sequence[Item], contract: Contract, *,
     with Children() as children:
         for k, item in enumerate(items):
             try:
-                verdict, motion = _one(item, contract, children)
+                verdict, motion = _one(item, contract, names, children)
             except HardcaseError as error:
                 done.append(Checked(item, None, error))
                 continue
@@ -70,7 +72,7 @@ def check(items: Sequence[Item], contract: Contract, *,
                 motions[k] = motion
             if progress is not None:
                 progress(k + 1, len(items))
-    return _compared(done, motions, contract)
+    return _compared(done, motions, contract) if "duplicates" in names else done
 
 
 def init(items: Sequence[Item], *, name: str = "default") -> Contract:
@@ -100,12 +102,13 @@ def read(path: Path, name: str) -> Subject:
     return read_recording(path, name=name)
 
 
-def verdict_of(path: str, name: str, contract: str) -> dict[str, Any]:
+def verdict_of(path: str, name: str, contract: str, names: list[str]) -> dict[str, Any]:
     """One item's verdict and motion as JSON knows them: what a child does."""
     rules = Contract.model_validate_json(contract)
     subject = read(Path(path), name)
     motion = motion_of(subject.recordings[0], completed(rules, subject)) if subject.tables is None else None
-    return {"verdict": run_checks(subject, rules).model_dump_json(), "motion": motion.plain() if motion else None}
+    verdict = run_checks(subject, rules, names)
+    return {"verdict": verdict.model_dump_json(), "motion": motion.plain() if motion else None}
 
 
 def contract_of(paths: list[str], names: list[str], name: str) -> str:
@@ -115,8 +118,9 @@ def contract_of(paths: list[str], names: list[str], name: str) -> str:
     return from_log(Subject(name, subjects[0].digest, recordings, subjects[0].tables), name=name).model_dump_json()
 
 
-def _one(item: Item, contract: Contract, children: Children) -> tuple[CheckVerdict, Motion | None]:
-    arguments = str(item.path), item.name, contract.model_dump_json()
+def _one(item: Item, contract: Contract, names: Collection[str],
+         children: Children) -> tuple[CheckVerdict, Motion | None]:
+    arguments = str(item.path), item.name, contract.model_dump_json(), list(names)
     found: dict[str, Any] = verdict_of(*arguments) if item.trusted else children.call(
         verdict_of, *arguments, where=item.path, limits=_limits([item.path]))
     motion = Motion.of(found["motion"]) if found["motion"] else None

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.policies.onnx_policy import OnnxPolicy
-from pipeline.protocols import Array, Ids, Observation
+from pipeline.protocols import Array, Ids, Observation, Policy
 from pipeline.simulation.recordings import Recorded, episode_id, record
 from pipeline.simulation.rollout import rollout
 from pipeline.simulation.tasks import PickPlace, mixed_strata, sample_scene, scene_seed
@@ -49,7 +49,7 @@ class Deployed:
     """Mean disagreement of the rider with the champion in each attempt, NaN without one, shape (n,)."""
 
 
-def deploy(policy: OnnxPolicy, policy_id: str, recipe: Recipe, *, seed: int, twin: int, generation: int, folder: Path,
+def deploy(policy: Policy, policy_id: str, recipe: Recipe, *, seed: int, twin: int, generation: int, folder: Path,
            software: Mapping[str, str], rider: Rider | None = None) -> Deployed:
     """Let the policy work on the twin; an attempt ends when the robot believes in success or a trigger fires.
 
@@ -96,7 +96,7 @@ def senses_of(task: PickPlace, n: int, config: HarvestConfig) -> Senses:
 class _Ridden:
     """The champion with a rider in its shadow: same observations, and the rider's actions go to the record alone."""
 
-    def __init__(self, champion: OnnxPolicy, rider: Rider, world: World, tracer: Tracer) -> None:
+    def __init__(self, champion: Policy, rider: Rider, world: World, tracer: Tracer) -> None:
         self._champion, self._rider, self._world, self._tracer = champion, rider, world, tracer
 
     def reset(self, n: int) -> None:
