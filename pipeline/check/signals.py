@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -28,7 +29,7 @@ class Column:
     """d names; 'x0', 'x1', ... where the log gives none."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Topic:
     """Everything that one topic said, message by message; or one feature of an episode, row by row."""
 
@@ -57,12 +58,12 @@ class Topic:
         stamps = self.log_ns if self.header_ns is None else self.header_ns
         return (stamps - stamps[0]) / 1e9 if len(stamps) else np.empty(0)
 
-    @property
+    @cached_property
     def period_s(self) -> float:
         """Median interval of the recorder's stamps [s]; NaN with fewer than 3 messages."""
         return float(np.median(np.diff(self.log_ns))) / 1e9 if len(self) > 2 else float("nan")
 
-    @property
+    @cached_property
     def steady(self) -> bool:
         """Whether it speaks at a rate, not at events: 8 messages and more, most intervals near their median."""
         if len(self) < 8 or not self.period_s > 0:
@@ -105,7 +106,7 @@ class Camera:
         return np.concatenate([np.zeros(min(1, len(self.thumbs))), self.changes().mean(axis=(1, 2))])
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Signals:
     """One recording, or one episode of a dataset."""
 
@@ -126,13 +127,13 @@ class Signals:
     index: int = 0
     """episode_index within a dataset."""
 
-    @property
+    @cached_property
     def start_ns(self) -> int:
         """Earliest log time of a topic that speaks steadily, else of any; latched messages may lie at 0 [ns]."""
         firsts = [int(t.log_ns.min()) for t in self.topics.values() if t.steady]
         return min(firsts or [int(t.log_ns.min()) for t in self.topics.values() if len(t)], default=0)
 
-    @property
+    @cached_property
     def stop_ns(self) -> int:
         """Latest log time of a topic that speaks steadily, else of any [ns]."""
         lasts = [int(t.log_ns.max()) for t in self.topics.values() if t.steady]
