@@ -82,9 +82,11 @@ class StateIntake(_Clocked):
         if not possible.all():
             keep = possible[rows]
             rows, values = rows[keep], values[keep]
-        if self.spool is None:
+        if self.spool is None and rows.size:
             self._check_width(values.shape[1])
             self.spool = Spool(self._file, values.shape[1])
+        if self.spool is None:
+            return
         self.spool.append(times if rows.size == times.size else times[rows], self.taker.in_unit(values))
 
     def _check_width(self, width: int) -> None:

@@ -46,6 +46,8 @@ class Spool:
 
     def append(self, stamps: Stamps, values: Rows) -> None:
         """Take samples, shapes (n,) [ns] and (n, width)."""
+        if not stamps.size:
+            return
         self._waiting.append((stamps, values))
         self._waiting_for += stamps.size
         if self._waiting_for >= AT_ONCE:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pipeline.errors import ConfigError
 from pipeline.frames import Features
 from pipeline.logs.intake import CameraIntake, StateIntake
+from pipeline.logs.mapping import EXAMPLE
 from pipeline.logs.resample import NS, only, pick, values
 from pipeline.logs.spool import Samples, Stamps
 from pipeline.logs.tables import IMAGE, Column
@@ -105,6 +106,9 @@ def _odd(track: Track, intake: StateIntake | CameraIntake, log: Path) -> list[st
     """What is odd about the stamps of a track; raises where they cannot be used."""
     spool, samples = intake.spool, track.samples
     assert spool is not None
+    if not spool.count:
+        reasons = "; ".join(f"{reason} ({n} messages)" for reason, n in intake.refused.most_common(3))
+        raise ConfigError(f"no message of {track.topic} can be used: {reasons}", where=log, mend=EXAMPLE)
     if not len(samples):
         raise ConfigError(f"all {spool.count} messages of {track.topic} have {track.clock} time 0", where=log,
                              mend="declare another clock for this topic: log, publish or header")
