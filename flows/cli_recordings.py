@@ -7,6 +7,7 @@ import typer
 
 from flows.cli_consent import consent
 from flows.cli_ingest import ingest
+from flows.cli_selftest import selftest
 from flows.cli_teleop import teleop
 
 commands = typer.Typer()
@@ -14,6 +15,7 @@ commands = typer.Typer()
 commands.add_typer(consent, name="consent")
 commands.command()(teleop)
 commands.command()(ingest)
+commands.command()(selftest)
 
 
 @commands.command()

@@ -1,0 +1,102 @@
+"""FAULTS: every planted fault by name, what it is, what it is planted in, and which checks are meant for it."""
+
+from collections.abc import Callable
+from types import MappingProxyType
+
+import numpy as np
+
+from pipeline.selftest import cameras, clocks, files, labels, messages, values
+from pipeline.selftest.log import Log
+from pipeline.selftest.material import Fault, Kind, Site
+
+type Rng = np.random.Generator
+
+
+def _log(change: Callable[[Log, Rng], None]) -> Callable[[Site], None]:
+    """A change of messages or metadata as a planter: read, change, write anew."""
+    def plant(site: Site) -> None:
+        log = Log.read(site.clean)
+        change(log, site.rng)
+        log.write(site.out)
+    return plant
+
+
+def _bytes(change: Callable[[bytes, Rng], bytes]) -> Callable[[Site], None]:
+    """A change of a file's bytes as a planter."""
+    def plant(site: Site) -> None:
+        Log.read(site.clean).write(site.out)  # several chunks, as every recording of some length has
+        site.out.write_bytes(change(site.out.read_bytes(), site.rng))
+    return plant
+
+
+def _in(kind: Kind, change: Callable[[Log, Rng], None], what: str, *expect: str, beside: bool = False) -> Fault:
+    return Fault(what, kind, _log(change), expect, beside)
+
+
+FAULTS: MappingProxyType[str, Fault] = MappingProxyType({
+    # what was measured and commanded
+    "frozen-joint": _in("demonstrated", values.frozen_joint, "an encoder repeats its last reading for 1.2 to 1.6 s",
+                        "frozen"),
+    "action-lag": _in("succeeded", values.late_actions, "actions are recorded 8 frames late", "lag"),
+    "state-lag": _in("demonstrated", values.late_states, "measurements are 8 frames old", "lag"),
+    "nan-state": _in("demonstrated", values.nan_at(values.MEASURED), "one reading is NaN", "finite"),
+    "nan-action": _in("corrected", values.nan_at(values.ACTION), "one action is NaN", "finite"),
+    "degrees-state": _in("succeeded", values.degrees_in(values.MEASURED), "joints measured in degrees", "units"),
+    "degrees-command": _in("demonstrated", values.degrees_in(values.COMMANDED), "joints commanded in degrees", "units"),
+    "millimetres-finger": _in("demonstrated", values.finger_in_millimetres, "finger opening in millimetres", "units"),
+    "millimetres-tool": _in("succeeded", values.tool_in_millimetres, "tool position in millimetres", "units"),
+    "spike": _in("succeeded", values.spike, "one reading jumps by 0.15 to 0.3 rad", "spikes"),
+    "beyond-limits": _in("demonstrated", values.beyond_limits, "a slipped zero: readings beyond a limit", "limits"),
+    # time
+    "gap": _in("demonstrated", clocks.recorder_stalls, "nothing is recorded for 0.5 s", "gaps"),
+    "topic-gap": _in("succeeded", clocks.topic_stalls, "the joints are silent for 0.5 s", "gaps"),
+    "wrong-rate": _in("demonstrated", clocks.slow_topic, "joints at half their rate", "rates"),
+    "jitter": _in("succeeded", clocks.bursts, "joint messages arrive in bursts of three", "jitter"),
+    "clock-forward": _in("demonstrated", clocks.clock_set_forward, "the recorder's clock is set 1 to 3 s forward",
+                         "clock-jump"),
+    "clock-back": _in("corrected", clocks.clock_set_back, "the recorder's clock is set 0.6 to 1.2 s back",
+                      "clock-jump"),
+    "sensor-clock-jump": _in("demonstrated", clocks.sensor_clock_jumps, "one driver's clock jumps by 0.6 to 2 s",
+                             "clock-jump"),
+    "clock-offset": _in("demonstrated", clocks.clock_offset, "one driver's clock is 0.25 to 0.6 s off", "clock-offset"),
+    "clock-drift": _in("succeeded", clocks.clock_drift, "one driver's clock drifts by 0.08 to 0.15 s", "clock-drift"),
+    # messages
+    "missing-topic": _in("demonstrated", messages.without(messages.COMMANDS), "no joint commands", "coverage"),
+    "dying-topic": _in("succeeded", messages.topic_dies, "joint commands end at 60 to 80 %", "coverage"),
+    "lost-messages": _in("demonstrated", messages.lost_messages, "three single messages are missing", "sequence"),
+    "doubled-messages": _in("demonstrated", messages.doubled_messages, "four messages are there twice", "sequence"),
+    "exchanged-messages": _in("succeeded", messages.exchanged_messages, "two messages in the wrong order", "sequence"),
+    "torn-messages": _in("demonstrated", messages.torn_messages, "three messages shorter than defined", "coverage"),
+    "fewer-than-ticks": _in("demonstrated", messages.fewer_than_ticks, "three ticks fewer than promised", "frames"),
+    # files
+    "truncated": Fault("the file ends after 60 to 90 %", "demonstrated", _bytes(files.truncated), ("truncated",)),
+    "corrupt-chunk": Fault("one bit of a chunk has flipped", "succeeded", _bytes(files.corrupt_chunk), ("truncated",)),
+    "lying-summary": Fault("the summary counts too few messages", "demonstrated", _bytes(files.lying_summary),
+                           ("summary",)),
+    # what it says of itself
+    "false-success": _in("failed", labels.called_success, "a failure recorded as success", "success-flag"),
+    "false-failure": _in("demonstrated", labels.called_failure, "a success recorded as failure", "success-flag"),
+    "no-consent": _in("demonstrated", labels.no_consent, "a person drives and names no consent", "consent"),
+    "feigned-simulation": _in("demonstrated", labels.feigned_simulation, "a person drives as 'simulated'", "consent"),
+    "wrong-robot": _in("demonstrated", labels.says(robot="arm-7"), "of another robot", "evaluation"),
+    "wrong-task": _in("demonstrated", labels.says(task="stack"), "of another task", "evaluation"),
+    "wrong-control-rate": _in("demonstrated", labels.at_other_rate, "at 25 Hz instead of 20", "evaluation"),
+    "duplicate": _in("demonstrated", labels.twice, "the same attempt under another id", "duplicates", beside=True),
+    "near-duplicate": _in("succeeded", labels.nearly_twice, "the same attempt with four digits", "duplicates",
+                          beside=True),
+    "late-duplicate": _in("demonstrated", labels.twice_without_its_start, "the same attempt without its first 0.5 s",
+                          "duplicates", beside=True),
+    # cameras
+    "swapped-cameras": _in("filmed", cameras.swapped, "two plugs exchanged", "swapped-cameras"),
+    "swapped-on-the-way": _in("filmed", cameras.swapped_on_the_way, "two cameras change places in between",
+                              "swapped-cameras"),
+    "black-camera": _in("filmed", cameras.black, "10 black pictures", "black-camera"),
+    "frozen-camera": _in("filmed", cameras.frozen, "the same picture for 1 s", "frozen-camera"),
+    "late-video": _in("filmed", cameras.shifted(cameras.LAG), "pictures 8 frames late", "shifted-video"),
+    "early-video": _in("filmed", cameras.shifted(-cameras.LAG), "pictures 8 frames early", "shifted-video"),
+    "torn-pictures": _in("filmed", cameras.torn, "three pictures lack their second half", "black-camera"),
+    "missing-camera": _in("filmed", cameras.camera_lost, "a camera was not recorded", "coverage"),
+    "dying-camera": _in("filmed", cameras.camera_dies, "a camera ends at 60 to 80 %", "coverage"),
+    "dropped-pictures": _in("filmed", cameras.pictures_dropped, "every eighth picture left out", "frames"),
+})
+"""Fault -> how it is planted and who should notice. Add one: a function that changes a log, and an entry here."""
