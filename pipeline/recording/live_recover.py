@@ -17,7 +17,7 @@ from pipeline.recording.metadata import NAME, SEAL, episode_metadata, seal
 from pipeline.recording.records import MESSAGE_HEAD, Op
 from pipeline.recording.scan import Scan, unpack
 from pipeline.recording.series import Walk
-from pipeline.recording.strings import attached_files, episode_strings, finished
+from pipeline.recording.strings import attached_files, episode_strings, finished, strings_of
 from pipeline.recording.summary import read_summary
 from pipeline.recording.verify import verify
 from schemas.episode import Episode
@@ -70,7 +70,7 @@ def rewrite(found: Scan, stream: IO[bytes]) -> tuple[Episode, str | None]:
     Raises:
         RecordingError: nothing can be kept.
     """
-    where, start = found.where, _strings(found, START)
+    where, start = found.where, strings_of(found, found.where, START)
     kept, file = Kept(), None
     for sequence, topic, log_ns, publish_ns, payload, ends in _messages(found, kept):
         if file is None:
@@ -102,15 +102,6 @@ def _episode(found: Scan, kept: Kept, start: dict[str, str]) -> tuple[Episode, s
     known = {key: value for key, value in start.items() if key not in ("episode_json", SEAL)}
     strings = {**episode_metadata(episode, software={}, truncated=True), **known}
     return episode, f"{why}; {kept.frames} ticks kept, {seconds:.2f} s", {**strings, SEAL: seal(strings)}
-
-
-def _strings(found: Scan, name: str) -> dict[str, str]:
-    for start, stop in found.metadata:
-        with reading(found.where, f"metadata at byte {start - 9}"):
-            found_name, at = fields.text(found.data, start, stop)
-            if found_name == name:
-                return fields.pairs(found.data, at, stop)[0]
-    raise refuse(f"no metadata record {name!r}", found.where, "set it aside: it was not begun by a live recorder")
 
 
 def _messages(found: Scan, kept: Kept) -> Iterator[tuple[int, str, int, int, bytes, bool]]:

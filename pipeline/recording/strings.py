@@ -22,7 +22,11 @@ def finished(found: Scan) -> bool:
 
 def episode_strings(found: Scan, path: Path) -> dict[str, str]:
     """The strings of the metadata record `episode`, or of `episode_start` where a live recording was cut off."""
-    wanted = metadata.NAME if finished(found) else START
+    return strings_of(found, path, metadata.NAME if finished(found) else START)
+
+
+def strings_of(found: Scan, path: Path, wanted: str) -> dict[str, str]:
+    """The strings of one metadata record, its seal checked."""
     for start, stop in found.metadata:
         with reading(path, f"metadata at byte {start - 9}"):
             name, at = fields.text(found.data, start, stop)
