@@ -9,6 +9,7 @@ from types import MappingProxyType, NoneType
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
+import orjson
 
 from pipeline.errors import RecordingError
 from pipeline.logs.columns import Columns
@@ -85,7 +86,10 @@ class JsonDecoder:
 
 def _loaded(payload: bytes) -> Any:
     """The value of one message; ValueError where there is none, or its text has half a character."""
-    message = json.loads(payload.decode())
+    try:
+        return orjson.loads(payload)
+    except orjson.JSONDecodeError:  # strict: Python and JavaScript also write NaN and Infinity, which are no JSON
+        message = json.loads(payload.decode())
     if b"\\ud" in payload or b"\\uD" in payload:  # a half can be written down only so
         json.dumps(message, ensure_ascii=False).encode()
     return message
