@@ -11,7 +11,7 @@ from pipeline.frames import FeatureTable
 from pipeline.logs.convert import CAMERA, FRAMES
 from pipeline.logs.tables import FrameFile
 from pipeline.store import Store
-from schemas.conversion import Conversion
+from schemas.conversion import Conversion, Converted
 from schemas.dataset import DatasetVersion
 from schemas.episode import Episode
 from schemas.ingest import IngestMap
@@ -73,14 +73,14 @@ def _build(store: Store, name: str, declared: IngestMap, episodes: list[Episode]
         taken = converted[episode.id]
         sha = taken.conversion.files[FRAMES]
         if sha not in files:
-            files[sha] = FrameFile(store.blob(sha), _features(taken.conversion))
+            files[sha] = FrameFile(store.blob(sha), _result(taken.conversion))
         return files[sha].table([e.id for e in taken.episodes].index(episode.id))
 
     recipe = Recipe(name=name, robot=declared.robot,
                     dataset=DatasetConfig(sources=("ingested",), only_success=False, weights={"base": 1.0}))
     version = build(episodes, frames_of, recipe, store=store.root, task=declared.task, generation=0,
                     consents=consents_now(store), verdicts=verdicts,
-                    features=_features(converted[episodes[0].id].conversion), notes=notes)
+                    features=_result(converted[episodes[0].id].conversion).features, notes=notes)
     store.add_version_of_logs(version)
     return version
 
@@ -93,9 +93,9 @@ def _verdicts(store: Store, episodes: Sequence[Episode], converted: Mapping[str,
                      if (verdict := found.get(blob) or found.get(log)) is not None})
 
 
-def _features(made: Conversion) -> dict[str, tuple[str, ...]]:
+def _result(made: Conversion) -> Converted:
     assert made.result is not None, "only what was converted has episodes"
-    return made.result.features
+    return made.result
 
 
 def _notes(made: Mapping[str, Conversion], cameras: Sequence[str]) -> dict[str, object]:

@@ -31,7 +31,7 @@ def converted(tmp_path):
         folder = tmp_path / name
         folder.mkdir()
         result = Converted.model_validate(convert(str(log), asked.model_dump_json(), str(folder)))
-        frames = FrameFile(folder / "frames", result.features) if result.spans else None
+        frames = FrameFile(folder / "frames", result) if result.spans else None
         return result, [frames.table(k).columns() for k in range(len(result.spans))], folder
 
     return run
@@ -192,7 +192,7 @@ def test_images_are_kept_as_they_came_and_each_frame_knows_its_own(foreign_log, 
             pixels = b"\xff\xd8\xff" + bytes([k]) * 50
             log.ros("/cam", image, k / 30, {"header": state(0, 0)["header"], "format": "jpeg", "data": pixels})
     result, (episode,), folder = converted(log.path, declared(cameras={"head": {"topic": "/cam"}}))
-    images, used = Images(folder / "camera.head"), FrameFile(folder / "frames", result.features).images(0, "head")
+    images, used = Images(folder / "camera.head"), FrameFile(folder / "frames", result).images(0, "head")
     assert (len(images), result.cameras["head"].format) == (31, "jpeg")
     assert images[7] == b"\xff\xd8\xff" + bytes([7]) * 50
     assert used.tolist() == list(range(0, 31, 3))
@@ -237,6 +237,17 @@ def test_a_log_without_any_arm_becomes_a_dataset_of_what_it_has(foreign_log, con
     result, (episode,), _ = converted(log.path, asked)
     assert episode["observation.plc"][:3].tolist() == [pytest.approx(v) for v in ([0, 1], [0.1, 0], [0.2, 1])]
     assert result.features["observation.plc"] == ("level", "valve_open")
+
+
+def test_an_episode_longer_than_a_piece_is_filled_as_one(foreign_log, converted, monkeypatch):
+    with foreign_log() as log:
+        joints(log, [*np.arange(0, 2.01, 0.1), *np.arange(2.5, 4, 0.1)])
+    result, whole, _ = converted(log.path, declared())
+    monkeypatch.setattr("pipeline.logs.filling.PIECE", 7)
+    same, pieces, _ = converted(log.path, declared(), name="pieces")
+    assert (same, [len(e["observation.state"]) for e in pieces]) == (result, [22, 15])
+    for one, other in zip(whole, pieces, strict=True):
+        assert all((one[name] == other[name]).all() for name in one)
 
 
 @pytest.mark.parametrize(("fields", "line", "mend"), [

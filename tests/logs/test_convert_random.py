@@ -63,7 +63,7 @@ def test_no_frame_uses_what_lies_too_far_away(a, b, sort, rules, clock, fps, lim
         if not result.spans:
             assert not (out / "frames").exists()
             return
-        frames = FrameFile(out / "frames", result.features)
+        frames = FrameFile(out / "frames", result)
         for k, span in enumerate(result.spans):
             columns = frames.table(k).columns()
             assert all(np.isfinite(c).all() for c in columns.values())
