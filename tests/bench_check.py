@@ -82,5 +82,5 @@ def test_check_beside_baglint_and_tracecheck(kind, benchmark, request):
     benchmark.pedantic(lambda: check(read_recording(paths[0]), Contract()), rounds=5)
     benchmark.extra_info |= {"messages_per_cpu_s": messages / ours, "baglint": lint / ours, "tracecheck": trace / ours}
     print(f"\n{kind}: {messages} messages in {len(paths)} recordings, {1e3 * ours / len(paths):.1f} ms each for "
-          f"{len(check(read[0], Contract()).checks)} checks, {reading / ours:.0%} of it to read and decode; baglint takes "
-          f"{lint / ours:.1f} and tracecheck {trace / ours:.1f} times as long")
+          f"{len(check(read[0], Contract()).checks)} checks, {reading / ours:.0%} of it to read and decode; baglint "
+          f"takes {lint / ours:.1f} and tracecheck {trace / ours:.1f} times as long")

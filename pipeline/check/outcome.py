@@ -7,11 +7,13 @@ import numpy as np
 from pipeline.check.signals import Rows, Signals
 from pipeline.consent import NO_CONSENTS
 from schemas.consent import NO_CONSENT, SIMULATED
-from schemas.contract import Contract
+from schemas.contract import Contract, Success
 from schemas.finding import Finding
 
 NEEDED = ("object_x", "object_y", "object_z", "target_x", "target_y", "ee_x", "ee_y", "ee_z", "gripper")
 """Columns, wherever they are recorded, that the task's success is judged by; see pipeline.frames."""
+ROUNDING_M = 0.003
+"""What two looks at one object differ by [m]."""
 SEEN_OUTCOMES = ("success", "failure")
 
 
@@ -19,8 +21,8 @@ def success_flag(signals: Signals, contract: Contract) -> Iterator[Finding]:
     """The recorded outcome against the task's predicate on what the robot perceived.
 
     Perception is noisy, so the predicate is asked with slack in favour of the record: a success is doubted only if
-    the object ends beyond the mark and the slack, or in the closed hand; a failure only if everything that success
-    asks for held with room to spare over the last ticks, and no trigger ended the attempt.
+    the object ends off the mark, in the air or in the hand by more than the slack; a failure only if everything that
+    success asks for held with room to spare over the last ticks, and no trigger ended the attempt.
     """
     label, trigger = _recorded(signals)
     if contract.success is None or label not in SEEN_OUTCOMES:
@@ -33,17 +35,30 @@ def success_flag(signals: Signals, contract: Contract) -> Iterator[Finding]:
     away = np.sqrt(sum((found[f"ee_{k}"] - found[f"object_{k}"]) ** 2 for k in "xyz"))
     last = slice(1 - max(rule.hold_ticks, 2), None)  # the attempt ends at the tick after its last row
     where, mend = signals.name, "label the episode again, or drop it: a wrong flag teaches failures as successes"
+    rise = float(found["object_z"][-1] - found["object_z"][0])
     if label == "success" and near[-1] > rule.within_m + slack:
         yield Finding(check="success-flag", what=f"recorded as success, but the object ends {near[-1] * 1e3:.0f} mm "
                       "off its mark", where=where, frame=len(near) - 1, value=float(near[-1]),
                       limit=rule.within_m + slack, mend=mend)
-    elif label == "success" and found["gripper"][-1] < rule.open_m / 2 and away[-1] < rule.away_m:
-        yield Finding(check="success-flag", what="recorded as success, but the object is still held at the end",
-                      where=where, frame=len(near) - 1, value=float(away[-1]), limit=rule.away_m, mend=mend)
-    elif label == "failure" and not trigger and (near[last] < rule.within_m - min(slack, rule.within_m / 2)).all() \
+    elif label == "success" and (found["gripper"][-1] < rule.open_m - slack or away[-1] < rule.away_m - slack):
+        yield Finding(check="success-flag", what="recorded as success, but the hand has not let go of the object",
+                      where=where, frame=len(near) - 1, value=float(away[-1]), limit=rule.away_m - slack, mend=mend)
+    elif label == "success" and rise > rule.low_m + slack:
+        yield Finding(check="success-flag", what=f"recorded as success, but the object ends {rise * 1e3:.0f} mm above "
+                      "where it lay", where=where, frame=len(near) - 1, value=rise, limit=rule.low_m + slack, mend=mend)
+    elif label == "failure" and not trigger and (near[last] < rule.within_m - _room(signals, rule, slack)).all() \
             and (found["gripper"][last] > rule.open_m).all() and (away[last] > rule.away_m).all():
         yield Finding(check="success-flag", what="recorded as failure, but the object lies on its mark, let go",
                       where=where, frame=len(near) - 1, value=float(near[-1]), limit=rule.within_m, mend=mend)
+
+
+def _room(signals: Signals, rule: Success, slack: float) -> float:
+    """How much closer than it must an object lie before a failure is doubted [m].
+
+    A simulator judges by the truth, which perception misses by the slack; sensors and people judge by what is recorded.
+    """
+    judge = signals.episode.outcome.judged_by if signals.episode is not None else "simulator"
+    return min(slack, rule.within_m / 2) if judge == "simulator" else ROUNDING_M
 
 
 def _recorded(signals: Signals) -> tuple[str, str]:

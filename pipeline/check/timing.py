@@ -10,6 +10,8 @@ from schemas.finding import Finding
 
 DAY_NS = 86_400_000_000_000
 SECOND_NS = 1e9
+PAUSE_S = 3.0
+"""Silence that a robot which waits may keep between two numbers that follow each other [s]."""
 
 
 def rates(signals: Signals, contract: Contract) -> Iterator[Finding]:
@@ -108,9 +110,18 @@ def clock_jump(signals: Signals, contract: Contract) -> Iterator[Finding]:
             seconds = (int(topic.log_ns[k]) - int(topic.log_ns[k + 1])) / SECOND_NS
             yield Finding(check="clock-jump", what=f"goes back {seconds:.3g} s at message {k + 1}", where=topic.name,
                           at_s=signals.at_s(int(topic.log_ns[k])), frame=k + 1, value=-seconds, limit=0.0, mend=mend)
+    told = set[str]()
+    for topic in _steady(signals):
+        k = _numbered_on(topic, contract.thresholds.jump_s)
+        if k is not None:
+            seconds = (int(topic.log_ns[k]) - int(topic.log_ns[k - 1])) / SECOND_NS
+            told.add(topic.name)
+            yield Finding(check="clock-jump", what=f"jumps by {seconds:+.4g} s at message {k}, and none is missing",
+                          where=topic.name, at_s=signals.at_s(int(topic.log_ns[k - 1])), frame=k, value=seconds,
+                          limit=contract.thresholds.jump_s, mend=mend)
     for topic, offsets in _offsets(signals, other_epochs=True):
         found = _jumps(offsets, contract.thresholds.jump_s)
-        if found.size and not (np.diff(topic.log_ns) < 0).any():
+        if found.size and topic.name not in told and not (np.diff(topic.log_ns) < 0).any():
             k = int(found[0])
             seconds = (int(offsets[k + 1]) - int(offsets[k])) / SECOND_NS
             yield Finding(check="clock-jump", what=f"log time and stamps part by {seconds:+.4g} s at message {k + 1}",
@@ -146,6 +157,18 @@ def _offsets(signals: Signals, *, other_epochs: bool = False) -> Iterator[tuple[
         offsets = topic.log_ns - stamps
         if other_epochs or abs(float(np.median(offsets))) < DAY_NS:
             yield topic, offsets
+
+
+def _numbered_on(topic: Topic, limit_s: float) -> int | None:
+    """The first message after a silence in which no number was left out, so that it was the clock that moved; a
+    sensor that pauses for less than three seconds is left to `gaps`."""
+    if topic.sequence is None or not topic.sequence.any():
+        return None
+    steps = np.diff(topic.sequence)
+    even = steps == np.median(steps)
+    silent = np.diff(topic.log_ns) > max(limit_s, PAUSE_S) * SECOND_NS
+    at = np.flatnonzero(silent & even)
+    return int(at[0]) + 1 if at.size and even.mean() > 0.8 else None
 
 
 def _jumps(offsets: Ns, limit_s: float) -> Ns:

@@ -115,6 +115,18 @@ def test_a_leak_by_content_is_found(folder, edit_table, findings):
     assert "held_out" in found["leaks"] and "which is in train" in found["leaks"]
 
 
+def test_splits_of_a_folder_of_somebody_else_are_read_from_its_info(folder, edit_json, edit_table, findings):
+    def no_split_of_ours(columns):
+        del columns["split"], columns["lineage"]
+
+    edit_table(folder / EPISODES, no_split_of_ours)
+    edit_json(folder / "meta/info.json", lambda info: info.update(splits={"train": "0:4", "val": "4:6"}))
+    assert findings(folder).findings == ()
+    edit_table(folder / DATA, lambda columns: copy_episode(columns, 1, 5))
+    found = {f.check: f.what for f in findings(folder).findings}
+    assert found["leaks"].startswith("is in val and") and "episode 1, which is in train" in found["leaks"]
+
+
 def test_a_wrong_success_flag_in_the_table_is_found(folder, edit_table, findings, version):
     edit_table(folder / EPISODES, lambda columns: columns["outcome"].__setitem__(1, "failure"))
     contract = completed(Contract(), read_folder(version)).model_copy(update={"evaluation": None})

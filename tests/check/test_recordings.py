@@ -81,6 +81,15 @@ def missed(t):
     t.environment[:, 4] += 0.2
 
 
+def held(t):
+    t.state[-4:, 6] = 0.04
+
+
+def lifted(t):
+    t.environment[-4:, 2] += 0.05
+    t.state[-4:, 9] += 0.1  # the hand as well, and away from it
+
+
 def no_consent(t):
     t.episode = t.episode.model_copy(update={"consent": NO_CONSENT})
 
@@ -103,6 +112,8 @@ def person_as_simulated(t):
     (millimetres, "units", "object_x looks like millimetres"),
     (wrong_flag, "success-flag", "recorded as failure, but the object lies on its mark, let go"),
     (missed, "success-flag", "recorded as success, but the object ends"),
+    (held, "success-flag", "recorded as success, but the hand has not let go of the object"),
+    (lifted, "success-flag", "recorded as success, but the object ends 50 mm above where it lay"),
     (no_consent, "consent", "no consent record is named"),
     (person_as_simulated, "consent", "a person commands the robot"),
 ], ids=lambda value: value.__name__ if callable(value) else None)
@@ -135,6 +146,7 @@ def changes(at_s):
         "a topic ends early": lambda topic, m: [] if topic == "/joint_states" and m.sequence > 30 else [m],
         "uneven": lambda topic, m: shift(m, rng.uniform(0, 0.045)),
         "the clock jumps by an hour": lambda topic, m: shift(m, 3600 if at_s(m) > 1 else 0),
+        "the clock jumps by a second": lambda topic, m: shift(m, 1 if at_s(m) > 1 else 0),
         "the clock goes back an hour": lambda topic, m: shift(m, -3600 if at_s(m) > 1 else 0),
         "a clock is off": lambda topic, m: shift(m, 0.4 if topic == "/joint_states" else 0),
         "a clock drifts": lambda topic, m: shift(m, 0.05 * at_s(m) if topic == "/joint_states" else 0),
@@ -151,7 +163,8 @@ def changes(at_s):
     ("a required topic is missing", "coverage", "topic /joint_commands, required by contract 'default', is missing"),
     ("a topic ends early", "coverage", "ends .* s early"),
     ("uneven", "jitter", "intervals of .* are off by"),
-    ("the clock jumps by an hour", "clock-jump", "log time and stamps part by \\+3600 s at message 21"),
+    ("the clock jumps by an hour", "clock-jump", r"jumps by \+3600 s at message 21, and none is missing"),
+    ("the clock jumps by a second", "clock-jump", r"log time and stamps part by \+1 s at message 21"),
     ("the clock goes back an hour", "clock-jump", "goes back 3.6e\\+03 s at message 21"),
     ("a clock is off", "clock-offset", "stamps lie \\+0.4 s off those of the other topics"),
     ("a clock drifts", "clock-drift", r"its clock drifts \+0.1\d* s"),
