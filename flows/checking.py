@@ -78,6 +78,8 @@ def _item(name: str) -> Item:
             raise StoreError(f"episode {id} is a variant and has no recording of its own",
                              where=f"hardcase check {name}",
                              mend=f"check what it was made from ({episode.parent}), or its dataset version")
+        if (log := store.log_of(episode)) is not None:  # its frames were made of a foreign log, which is what is judged
+            return Item(store.blob(log), id)
         return Item(store.blob(episode.blob), id, trusted=True)
 
 

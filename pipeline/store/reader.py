@@ -185,6 +185,12 @@ class Reader:
         """What made an ingested episode; None for any other."""
         return ingestion_of(self._catalog, episode)
 
+    def log_of(self, episode: Episode) -> str | None:
+        """The raw log that an ingested episode was made of, by hash; None for any other."""
+        ingestion = self.ingestion_of(episode)
+        made = self.conversion(ingestion.conversion) if ingestion else None
+        return made.log if made else None
+
     def query(self, sql: str, parameters: tuple[object, ...] = ()) -> list[tuple[object, ...]]:
         """Rows of the catalog; for lineage, garbage and reports, which ask across tables. Reading only."""
         return self._catalog.rows(sql, parameters)

@@ -215,6 +215,19 @@ def test_a_failure_teaches_nothing_and_is_told(ingest, walk):
     assert "none of 3 episodes may be learnt from (3 failure)" in err
 
 
+def test_a_log_that_failed_its_check_teaches_nothing(ingest, walk, capsys, monkeypatch):
+    log = walk()
+    episode = ingest(log, "--json")[1]["logs"][0]["episodes"][0]
+    monkeypatch.setattr("sys.argv", ["hardcase", "check", episode])  # finds its raw log, whose pictures show nothing
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 1
+    assert "black-camera" in capsys.readouterr().out
+    code, _, err = ingest(log, "--dataset", "walks")
+    assert code == 2
+    assert "none of 3 episodes may be learnt from (3 failed a check)" in err
+
+
 def test_logs_of_other_shapes_do_not_become_one_version(ingest, walk):
     code, _, err = ingest(walk("a.mcap"), walk("b.mcap", values=3), "--dataset", "walks")
     assert code == 2
