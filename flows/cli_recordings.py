@@ -67,3 +67,22 @@ def record(
                         seconds=seconds, until_success=until_success, seed=seed)
     if run_record(order, store_root(), as_json=json):
         raise typer.Exit(INTERRUPTED)
+
+
+@commands.command()
+def film(
+    recording: Annotated[Path, typer.Argument(metavar="IN.mcap", help="A recording of a simulated robot.")],
+    out: Annotated[Path, typer.Argument(metavar="OUT.mcap", help="The same recording with pictures.")],
+    camera: Annotated[
+        list[str] | None, typer.Option(help="Camera of the scene: front, top; may be given again.")
+    ] = None,
+    size: Annotated[str, typer.Option(help="Width and height of pictures.")] = "320x240",
+) -> None:
+    """Film a simulated attempt afterwards: each recorded state, through any camera of its scene.
+
+    Example: hardcase film attempt.mcap filmed.mcap --camera front --camera top --size 640x480
+    """
+    from flows.cli_teleop import picture_size
+    from flows.film import film
+
+    typer.echo(film(recording, out, camera or (), picture_size(size)))

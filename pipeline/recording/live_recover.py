@@ -72,7 +72,7 @@ def rewrite(found: Scan, stream: IO[bytes]) -> tuple[Episode, str | None]:
     """
     where, start = found.where, strings_of(found, found.where, START)
     kept, file = Kept(), None
-    for sequence, topic, log_ns, publish_ns, payload, ends in _messages(found, kept):
+    for sequence, topic, log_ns, publish_ns, payload, ends in messages_of(found, kept):
         if file is None:
             file = LiveFile({START: start}, attached_files(found), log_ns)
         file.add(topic, sequence, log_ns, publish_ns, payload)
@@ -104,7 +104,7 @@ def _episode(found: Scan, kept: Kept, start: dict[str, str]) -> tuple[Episode, s
     return episode, f"{why}; {kept.frames} ticks kept, {seconds:.2f} s", {**strings, SEAL: seal(strings)}
 
 
-def _messages(found: Scan, kept: Kept) -> Iterator[tuple[int, str, int, int, bytes, bool]]:
+def messages_of(found: Scan, kept: Kept) -> Iterator[tuple[int, str, int, int, bytes, bool]]:
     """Sequence, topic, log time, publish time, payload of all messages in whole chunks; whether it ends its chunk."""
     walk = Walk(lambda _: True)
     for chunk in found.chunks:
