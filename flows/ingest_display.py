@@ -123,7 +123,7 @@ def _told(rows: Sequence[Row], built: Built | None, store: Store) -> str:
         table.add_column(name, overflow="fold", justify="left" if name in ("log", "") else "right")
     for row in rows:
         table.add_row(row.path.name, *_cells(row))
-    console = Console(width=140, no_color=True)
+    console = Console(width=140, no_color=True, force_terminal=False)
     with console.capture() as captured:
         console.print(table)
     lines = [line.rstrip() for line in captured.get().splitlines()]

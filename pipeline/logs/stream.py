@@ -59,12 +59,13 @@ class LogReader:
         """Name and size [B] of attachments read so far, of the first 10,000."""
         self._stream, self._tolerant = stream, accept_truncated
         self._problems = Problems()
+        self._source: Source | None = None
         self._metadata: list[tuple[str, dict[str, str]]] | None = None
 
     @property
     def position(self) -> int:
         """Bytes of the file that were read so far."""
-        return self._stream.tell()
+        return self._source.offset if self._source is not None else 0
 
     @property
     def problems(self) -> list[Problem]:
@@ -81,6 +82,7 @@ class LogReader:
             RecordingError: damaged, hostile, cut off (unless that was accepted) or not MCAP.
         """
         self._problems, source = Problems(), Source(self._stream, self.size)
+        self._source = source
         declared = Declared(self._problems)
         section = Section(source, declared, self._problems, self.path, tolerant=self._tolerant)
         self.channels, self.counts, self.attached = declared.channels, section.tally.counts, section.attached

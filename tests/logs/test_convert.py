@@ -270,6 +270,14 @@ def test_a_map_that_does_not_fit_the_log_is_refused_in_one_line(foreign_log, con
     assert "\n" not in error.value.what
 
 
+def test_progress_is_told_while_a_log_is_read(foreign_log, converted, monkeypatch):
+    monkeypatch.setattr("pipeline.logs.convert.PROGRESS_S", 0)
+    with foreign_log() as log:
+        joints(log, np.arange(0, 100, 0.1))
+    _, _, folder = converted(log.path, declared())
+    assert log.path.stat().st_size / 2 < int((folder / "progress").read_text()) <= log.path.stat().st_size
+
+
 def test_the_result_is_plain_json(foreign_log, converted):
     with foreign_log() as log:
         joints(log, np.arange(0, 1, 0.1))
