@@ -20,11 +20,13 @@ import pytest
 import zstandard
 from rosbags.highlevel import AnyReader
 
+from flows.ingesting import Ingest
 from pipeline.logs.child import Children, Limits
 from pipeline.logs.convert import convert
 from pipeline.recording import cdr, records
 from pipeline.recording.dialect import definition
 from pipeline.recording.records import Op
+from pipeline.store import Store
 from schemas.ingest import IngestMap
 
 GIGABYTES = float(os.environ.get("HARDCASE_BENCH_GB", "1"))
@@ -188,3 +190,21 @@ def test_memory_stays_flat(tmp_path, cameras):
             file.unlink()
         path.unlink()
     assert peaks[1] < peaks[0] + 64
+
+
+@pytest.mark.parametrize("name", ["state", "two cameras"])
+def test_the_whole_command_into_a_store(tmp_path, name):
+    """Hashing, keeping the raw file, the child, the catalog: CPU seconds of this process and its children."""
+    kind, size, how = LOGS[name]
+    size, path = size * 3, tmp_path / "a.mcap"
+    messages, megabytes = write(path, kind, size, **how), size / 1e6
+    with Store.open(tmp_path / "store", create=True) as store:
+        before = sum(os.times()[:4])
+        with Ingest(store, declared(how["arms"], how["cameras"])) as work:
+            taken = work.take(path)
+        spent = sum(os.times()[:4]) - before
+    assert len(taken.episodes) == 1
+    print(f"\n{name}, whole: {messages:,} messages, {megabytes:.0f} MB in {spent:.2f} CPU s: {messages / spent:,.0f} "
+          f"messages/s, {megabytes / spent:,.0f} MB/s")
+    assert messages / spent > 60_000 or how["cameras"]
+    assert megabytes / spent > 50 or not how["cameras"]
