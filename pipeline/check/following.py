@@ -7,6 +7,9 @@ from numpy.typing import NDArray
 
 type Rows = NDArray[np.float64]
 
+ABSURD = 1e12
+"""Beyond any position, speed or torque in any unit; squares of what lies below do not overflow."""
+
 
 @dataclass(frozen=True, slots=True)
 class Fit:
@@ -21,8 +24,8 @@ class Fit:
 
 
 def numbers(rows: Rows) -> Rows:
-    """The rows with 0 for what is no number: that there is such a value is the business of another check."""
-    return np.where(np.isfinite(rows), rows, 0.0)
+    """The rows with 0 for what is no number, or none of this world: to tell of it is the business of other checks."""
+    return np.where(np.abs(rows) < ABSURD, rows, 0.0)
 
 
 def resample(stamps_s: Rows, rows: Rows, clock_s: Rows) -> Rows:

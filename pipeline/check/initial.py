@@ -64,7 +64,7 @@ def _seen(reference: str, seen: Sequence[tuple[Rows, Column]], known: Mapping[st
         alike = [(t, c.rows[:, k]) for t, c in seen if c.names == names]
         values = [v for _, v in alike]
         low, high = min(float(np.nanmin(v)) for v in values), max(float(np.nanmax(v)) for v in values)
-        room = max(0.1 * (high - low), 1e-3)
+        room = max(0.1 * (high - low), 0.01 * max(abs(low), abs(high)), 1e-3)
         steps = [np.abs(np.diff(v)) / np.maximum(np.diff(t), 1e-9) for t, v in alike]
         speed = max((float(np.nanmax(s)) for s in steps if s.size), default=0.0)
         given = known.get(column, Limit())
