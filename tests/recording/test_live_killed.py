@@ -70,3 +70,16 @@ def test_what_is_left_is_whole_and_says_that_it_was_cut_off(recovered):
             assert {"scene.xml", "robot.urdf"} <= {a.name for a in reader.iter_attachments()}
         assert metadata["episode"]["truncated"] == "true"
         assert len(pictures) >= 2, "of both cameras, however busy this machine is"
+
+
+def test_rerun_opens_what_is_left(recovered):
+    from rerun.chunk import McapReader
+
+    done = recovered["0"]
+    rows, frames = 0, set[str]()
+    for chunk in McapReader(done.kept).stream():
+        batch = chunk.to_record_batch()
+        if any(name.endswith("Scalars:scalars") for name in batch.schema.names):
+            rows += batch.num_rows * (str(chunk.entity_path) == "/joint_states/position")
+        frames.update(str(chunk.entity_path).split("/")[2:3] if "/camera/" in str(chunk.entity_path) else ())
+    assert (rows, frames) == (done.frames, {"front", "top"})
