@@ -45,7 +45,7 @@ def read_folder(folder: Path, *, name: str | None = None) -> Subject:
         raise DatasetError(f"a LeRobot dataset of format {info.get('codebase_version')!r}, v3.0 is read", where=folder,
                            mend="convert it: python -m lerobot.scripts.convert_dataset_v21_to_v30")
     if not isinstance(fps := info.get("fps"), int | float) or not fps > 0:
-        raise DatasetError(f"{INFO} gives a rate of {fps!r}", where=folder, mend="write the frames a second as a number")
+        raise DatasetError(f"{INFO} gives a rate of {fps!r}", where=folder, mend="write the frames a second there")
     try:
         episodes = _episodes(folder)
         frames = _frames(folder, info)

@@ -6,6 +6,7 @@ import numpy as np
 import yaml
 
 from pipeline.check.contract import completed, number
+from pipeline.check.following import numbers
 from pipeline.check.motion import unit_of
 from pipeline.check.signals import Column, Rows, Signals, Subject
 from pipeline.check.swapped import fingerprint
@@ -61,12 +62,12 @@ def _seen(reference: str, seen: Sequence[tuple[Rows, Column]], known: Mapping[st
     names = seen[0][1].names
     found: dict[str, Limit] = {}
     for k, column in enumerate(names):
-        alike = [(t, c.rows[:, k]) for t, c in seen if c.names == names]
+        alike = [(t, numbers(c.rows[:, k])) for t, c in seen if c.names == names]
         values = [v for _, v in alike]
-        low, high = min(float(np.nanmin(v)) for v in values), max(float(np.nanmax(v)) for v in values)
+        low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
         room = max(0.1 * (high - low), 0.01 * max(abs(low), abs(high)), 1e-3)
         steps = [np.abs(np.diff(v)) / np.maximum(np.diff(t), 1e-9) for t, v in alike]
-        speed = max((float(np.nanmax(s)) for s in steps if s.size), default=0.0)
+        speed = max((float(s.max()) for s in steps if s.size), default=0.0)
         given = known.get(column, Limit())
         found[column] = Limit(
             low=_tidy(low - room) if given.low is None else given.low,

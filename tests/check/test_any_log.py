@@ -85,7 +85,7 @@ def test_spoiled_bytes_of_a_dataset_get_a_verdict_or_one_error(table, folder):
     lambda info: info.update(fps=0), lambda info: info.update(fps="fast"), lambda info: info.update(features=[]),
     lambda info: info["features"]["action"].update(shape=[6]), lambda info: info["features"]["action"].update(names=7),
     lambda info: info.update(splits={"train": "all", "val": 3}), lambda info: info.update(total_frames=None),
-    lambda info: info["features"].update({"observation.images.x": {"dtype": "video", "shape": [4, 4, 3], "names": None}}),
+    lambda info: info["features"].update({"images.x": {"dtype": "video", "shape": [4, 4, 3], "names": None}}),
     lambda info: info["features"].update({"gone": {"dtype": "float32", "shape": [2], "names": None}}),
 ], ids=["no rate", "rate in words", "features in a list", "wrong shape", "names that are a number", "odd splits",
         "no total", "no video", "a feature without rows"])
