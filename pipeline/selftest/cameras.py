@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 from mcap.records import Message
+from numpy.typing import NDArray
 from PIL import Image
 
 from pipeline.selftest.filming import CAMERAS
@@ -22,6 +23,11 @@ LAG = 8
 def jpeg_of(message: Message) -> bytes:
     """The picture in a sensor_msgs/CompressedImage."""
     return message.data[message.data.index(JPEG):]
+
+
+def decoded(jpeg: bytes) -> NDArray[np.uint8]:
+    """A picture as RGB, shape (height, width, 3)."""
+    return np.asarray(Image.open(io.BytesIO(jpeg)).convert("RGB"))
 
 
 def with_jpeg(message: Message, jpeg: bytes) -> None:

@@ -44,9 +44,11 @@ def slow_topic(log: Log, rng: Rng) -> None:
 
 def bursts(log: Log, rng: Rng) -> None:
     """Joint messages arrive in bursts of three, as over a radio link: recorded late, stamped right."""
-    for k, message in enumerate(log.of(STATES)):
-        late = (2 - k % 3) * 0.05 - rng.uniform(0, 0.004)
-        message.log_time += int(late * SECOND_NS)
+    messages = log.of(STATES)
+    stamps = [m.log_time for m in messages]
+    for k, message in enumerate(messages):
+        arrival = stamps[min(k - k % 3 + 2, len(messages) - 1)]
+        message.log_time = arrival + (k % 3) * 1_000_000 + int(rng.integers(1_000_000))
     log.messages.sort(key=lambda m: m.log_time)
 
 

@@ -10,9 +10,9 @@ import numpy as np
 from schemas.contract import Contract
 from schemas.finding import Finding
 
-type Kind = Literal["demonstrated", "succeeded", "failed", "corrected", "filmed", "dataset", "film dataset"]
-"""Scripted successes; attempts of a policy on a twin that succeeded or failed; failures that were corrected;
-demonstrations with two cameras; dataset versions; datasets with a camera."""
+type Kind = Literal["demonstrated", "succeeded", "failed", "coarse", "corrected", "filmed", "dataset", "film dataset"]
+"""Scripted successes; attempts of a policy on a twin that succeeded or failed; attempts read through coarse encoders;
+failures that were corrected; demonstrations with two cameras; dataset versions; datasets with two cameras."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,11 +1,14 @@
 """FAULTS: every planted fault by name, what it is, what it is planted in, and which checks are meant for it."""
 
 from collections.abc import Callable
+from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 
-from pipeline.selftest import cameras, clocks, files, labels, messages, values
+from pipeline.lerobot_view.layout import STATS
+from pipeline.selftest import cameras, clocks, files, labels, messages, rows, values, video
+from pipeline.selftest.dataset import Dataset
 from pipeline.selftest.log import Log
 from pipeline.selftest.material import Fault, Kind, Site
 
@@ -29,8 +32,31 @@ def _bytes(change: Callable[[bytes, Rng], bytes]) -> Callable[[Site], None]:
     return plant
 
 
+def _rows(change: Callable[[Dataset, Rng], None], what: str, *expect: str) -> Fault:
+    """A fault of a dataset's rows and tables, built so from the beginning."""
+    def plant(site: Site) -> None:
+        data = Dataset(site.clean, site.out)
+        change(data, site.rng)
+        data.write()
+    return Fault(what, "dataset", plant, expect)
+
+
+def _video(change: Callable[[Path, Path, Rng], None], what: str, *expect: str) -> Fault:
+    """A fault of a dataset's videos."""
+    def plant(site: Site) -> None:
+        change(site.clean, site.out, site.rng)
+    return Fault(what, "film dataset", plant, expect)
+
+
 def _in(kind: Kind, change: Callable[[Log, Rng], None], what: str, *expect: str, beside: bool = False) -> Fault:
     return Fault(what, kind, _log(change), expect, beside)
+
+
+def _edited(site: Site) -> None:
+    """Somebody edited the statistics after the version was built: the manifest promises other bytes."""
+    Dataset(site.clean, site.out)
+    text = (site.out / STATS).read_text()
+    (site.out / STATS).write_text(text.replace("\n", "\n ", 1))
 
 
 FAULTS: MappingProxyType[str, Fault] = MappingProxyType({
@@ -98,5 +124,25 @@ FAULTS: MappingProxyType[str, Fault] = MappingProxyType({
     "missing-camera": _in("filmed", cameras.camera_lost, "a camera was not recorded", "coverage"),
     "dying-camera": _in("filmed", cameras.camera_dies, "a camera ends at 60 to 80 %", "coverage"),
     "dropped-pictures": _in("filmed", cameras.pictures_dropped, "every eighth picture left out", "frames"),
+    # datasets
+    "dataset-nan": _rows(rows.nan, "one value of one row is NaN", "finite"),
+    "dataset-action-lag": _rows(rows.late_actions, "every row holds the action of 8 rows before", "lag"),
+    "dataset-degrees": _rows(rows.degrees, "joints in degrees", "units"),
+    "dataset-absolute-actions": _rows(rows.absolute_actions, "actions are positions, not steps", "evaluation"),
+    "dataset-duplicate": _rows(rows.duplicate, "a training episode is there twice", "duplicates"),
+    "leak-by-content": _rows(rows.leak_by_content, "a held-out episode is a training episode again", "leaks"),
+    "leak-by-descent": _rows(rows.leak_by_descent, "a variant of a training episode is held out", "leaks"),
+    "dataset-false-failure": _rows(rows.false_failure, "a success is called a failure", "success-flag"),
+    "old-statistics": _rows(rows.old_statistics, "statistics of two thirds of the rows", "statistics"),
+    "missing-row": _rows(rows.missing_row, "one row less than the tables count", "tables"),
+    "wrong-times": _rows(rows.wrong_times, "times at 30 rows a second instead of 20", "tables"),
+    "dataset-wrong-robot": _rows(rows.other_robot, "of another robot", "evaluation"),
+    "dataset-wrong-rate": _rows(rows.other_rate, "25 rows a second instead of 20", "evaluation"),
+    "other-order": _rows(rows.other_order, "the gripper comes first in the action", "evaluation"),
+    "changed-version": Fault("edited after it was built", "dataset", _edited, ("tables",)),
+    "video-dropped": _video(video.spoiled(video.dropped), "an encoder dropped three pictures", "frames"),
+    "video-black": _video(video.spoiled(video.black), "10 black pictures in a video", "black-camera"),
+    "video-late": _video(video.spoiled(video.late), "a video 8 frames late", "shifted-video"),
+    "video-swapped": _video(video.swapped, "two cameras exchanged in one episode", "swapped-cameras"),
 })
 """Fault -> how it is planted and who should notice. Add one: a function that changes a log, and an entry here."""
