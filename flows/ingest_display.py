@@ -11,11 +11,12 @@ from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeR
 from rich.table import Table
 
 from flows.ingested import Built, build_version
-from flows.ingesting import Ingest, Taken
+from flows.ingesting import BEGIN, Ingest, Taken
 from pipeline.errors import ConfigError, HardcaseError, RecordingError
 from pipeline.files import atomic
 from pipeline.logs.mapping import load_map
 from pipeline.store import Store, store_root
+from pipeline.store.folder import check_name
 from schemas.conversion import TopicUse
 
 FINE, REFUSED = 0, 2
@@ -51,10 +52,12 @@ def ingest_all(logs: Sequence[Path], map_file: Path, *, dataset: str | None, acc
     Raises:
         HardcaseError: the map, the store or the dataset cannot be used, or the only log is bad.
     """
-    declared, rows, built = load_map(map_file), list[Row](), None
+    declared, files, rows, built = load_map(map_file), _files(logs), list[Row](), None
+    if dataset is not None:
+        check_name("dataset", dataset)
     with Store.open(store_root(), create=True) as store:
         with Ingest(store, declared, accept_truncated=accept_truncated) as work, _bar() as bar:
-            for path in _files(logs):
+            for path in files:
                 task = bar.add_task(path.name, total=None)
                 try:
                     rows.append(work.take(path, lambda done, size, task=task: bar.update(
@@ -98,7 +101,10 @@ def suggest_map(logs: Sequence[Path], out: Path | None) -> str:
 
 def _files(logs: Sequence[Path]) -> list[Path]:
     """Files as they are named; those in a folder in the order of their names."""
-    return [file for path in logs for file in (sorted(path.rglob("*.mcap")) if path.is_dir() else [path])]
+    files = [file for path in logs for file in (sorted(path.rglob("*.mcap")) if path.is_dir() else [path])]
+    if not files:
+        raise ConfigError("no .mcap file in it", where=", ".join(map(str, logs)), mend=BEGIN)
+    return files
 
 
 def _bar() -> Progress:

@@ -1,9 +1,11 @@
 """From somebody else's messages to frames: values, clocks, boundaries, holes, and logs that are odd but legal."""
 
 import json
+import struct
 
 import numpy as np
 import pytest
+from google.protobuf import descriptor_pb2
 
 from pipeline.errors import ConfigError
 from pipeline.files import sha256_file
@@ -199,6 +201,33 @@ def test_images_are_kept_as_they_came_and_each_frame_knows_its_own(foreign_log, 
     assert (images.stamps_ns()[used] - result.spans[0].start_ns).tolist() == pytest.approx(
         [k * NS / 10 for k in range(11)], abs=1)
     assert np.abs(episode["skew.camera.head"]).max() < 1e-6
+
+
+def test_raw_images_keep_their_bytes_and_say_what_they_are(foreign_log, converted):
+    with foreign_log() as log:
+        joints(log, np.arange(0, 1, 0.1))
+        for k in range(10):
+            log.json("/raw", k / 10, {"encoding": "rgb8", "width": 4, "height": 2, "data": "AAAA" * 8},
+                     name="sensor_msgs/msg/Image", encoding="jsonschema")
+    result, _, folder = converted(log.path, declared(cameras={"wrist": {"topic": "/raw"}}))
+    assert result.cameras["wrist"].format == "rgb8 4x2"
+    assert Images(folder / "camera.wrist")[3] == bytes(24)
+
+
+def test_protobuf_beside_other_encodings(foreign_log, converted):
+    file = descriptor_pb2.FileDescriptorProto(name="tank.proto", package="plc", syntax="proto3")
+    level = file.message_type.add(name="Tank").field.add(name="level", number=1)
+    level.type, level.label = level.TYPE_DOUBLE, level.LABEL_OPTIONAL
+    with foreign_log() as log:
+        joints(log, np.arange(0, 1, 0.1))
+        tank = log.channel("tank", "plc.Tank", "protobuf",
+                           descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString(), "protobuf")
+        for k in range(10):
+            log.put(tank, k / 10, b"\x09" + struct.pack("<d", k / 2))
+    asked = declared(features={"observation.state": [STATE, {"topic": "tank", "fields": ["level"]}]})
+    result, (episode,), _ = converted(log.path, asked)
+    assert episode["observation.state"][4].tolist() == pytest.approx([0.4, -0.4, 2.0])
+    assert {t.encoding for t in result.topics} == {"cdr", "protobuf"}
 
 
 def test_one_reading_gives_the_same_bytes_as_another(foreign_log, converted):

@@ -196,6 +196,28 @@ def test_a_bad_log_alone_is_one_line_and_exit_code_2(ingest, walk, tmp_path, mak
     assert mend in to_do
 
 
+def test_a_name_that_no_version_can_have_is_refused_before_anything_is_read(ingest, walk, store):
+    code, _, err = ingest(walk(), "--dataset", "My Walks")
+    assert code == 2
+    assert "not a valid dataset: 'My Walks'" in err
+    assert "use 1 to 64 of a-z" in err
+    assert list((store / "blobs").iterdir()) == []
+
+
+def test_a_folder_without_logs_is_refused(ingest, tmp_path):
+    (tmp_path / "logs").mkdir()
+    code, _, err = ingest(tmp_path / "logs")
+    assert code == 2
+    assert "no .mcap file in it" in err
+    assert "name MCAP recordings" in err
+
+
+def test_without_a_map_the_way_to_one_is_told(ingest, walk):
+    code, _, err = ingest(walk(), declared=None)
+    assert code == 2
+    assert "hardcase ingest --suggest" in err
+
+
 def test_without_a_consent_that_holds_an_episode_is_stored_and_reaches_no_version(ingest, walk, store):
     log = walk()
     code, told, _ = ingest(log, "--json", declared={k: v for k, v in MAP.items() if k != "consent"})
