@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import Any
 
 from pipeline.selftest.judging import Planted, Result
-from pipeline.selftest.material import Material
 from pipeline.selftest.referees import REFEREES, Asked, Opinion
 
 
@@ -15,6 +14,7 @@ def as_json(result: Result, asked: Asked | None) -> dict[str, Any]:
         "faults": [_fault(p, asked) for p in result.planted],
         "clean_episodes": result.clean_episodes,
         "clean_datasets": result.clean_datasets,
+        "rendered": result.rendered,
         "false_alarms": len(result.alarms),
         "alarms": [{"name": a.where.name, "said": a.said} for a in result.alarms],
         **({} if asked is None else {"referee_alarms": asked.alarms}),
@@ -31,14 +31,14 @@ def _fault(planted: Planted, asked: Asked | None) -> dict[str, Any]:
     return told
 
 
-def told(result: Result, material: Material, asked: Asked | None) -> list[str]:
+def told(result: Result, asked: Asked | None) -> list[str]:
     """A line for each fault, one for each false alarm, then the sums."""
     head = ["fault", "caught by", *(() if asked is None else REFEREES), "what it says"]
     rows = [[p.name, ", ".join(p.caught_by) or "MISSED", *_opinions(p, asked), p.said] for p in result.planted]
     lines = _aligned([head, *rows])
     lines += [f"FALSE ALARM  {a.where.parent.name}/{a.where.name}: {a.said}" for a in result.alarms]
     lines += [f"REFEREE  {alarm}" for alarm in (asked.alarms if asked is not None else ())]
-    pictures = "rendered" if material.rendered else "drawn, because nothing renders here (hardcase doctor)"
+    pictures = "rendered" if result.rendered else "drawn, because nothing renders here (hardcase doctor)"
     return [*lines, "", f"{len(result.planted) - len(result.missed)} of {len(result.planted)} faults caught",
             f"{len(result.alarms)} false alarms on {result.clean_episodes} clean episodes and "
             f"{result.clean_datasets} clean datasets; pictures were {pictures}"]

@@ -45,6 +45,8 @@ class Result:
     planted: tuple[Planted, ...]
     clean_episodes: int
     clean_datasets: int
+    rendered: bool
+    """Whether cameras saw rendered pictures; drawn ones where nothing renders."""
     alarms: tuple[Alarm, ...]
 
     @property
@@ -92,7 +94,7 @@ def run(material: Material, faults: Mapping[str, Fault], judge: Judge, folder: P
             fault.plant(site)
         planted.append(_judged(name, fault, sites, judge, material.contracts[fault.on], before))
     datasets = sum(len(p) for kind, p in material.clean.items() if "dataset" in kind)
-    return Result(tuple(planted), material.episodes, datasets, tuple(alarms))
+    return Result(tuple(planted), material.episodes, datasets, material.rendered, tuple(alarms))
 
 
 def _sites(name: str, fault: Fault, material: Material, folder: Path, seed: int) -> Iterator[Site]:

@@ -72,6 +72,7 @@ def tracecheck_contract(expected: Expected) -> dict[str, Any]:
                         "schema_encoding": "ros2msg"}
         if rate_hz is not None:
             topics[name] |= {
+                "min_count": STEADY,
                 "clock_confirmed": True, "time_basis": "log_time", "check_regression": True,
                 "min_rate_hz": rate_hz * (1 - RATE_OFF), "max_rate_hz": rate_hz * (1 + RATE_OFF),
                 "max_gap_ns": int(GAP_S * 1e9), "sequence": "increment_mod32"}
