@@ -16,7 +16,7 @@ from pipeline.store import Store
 from schemas.conversion import CameraFile, Conversion, RawLog
 from schemas.episode import Episode
 from schemas.ingest import IngestMap
-from stages.ingest import camera_hashes, code_hash, conversion_id, episodes_of, ingest
+from stages.ingest import camera_hashes, code_hash, conversion_id, episodes_of, ingest, lasts
 
 MAGIC = b"\x89MCAP0\r\n"
 BEGIN = "name MCAP recordings; rosbag2 folders of another kind are converted first: ros2 bag convert"
@@ -88,7 +88,8 @@ class Ingest:
                 there = [name for name in names if (folder / name).is_file()]
                 shas = self._store.put_blobs([folder / name for name in there], move=True)
                 made = made.model_copy(update={"files": dict(zip(there, shas, strict=True)) | kept})
-            self._store.add_conversion(made)
+            if lasts(made):
+                self._store.add_conversion(made)
             return made
         finally:
             rmtree(folder, ignore_errors=True)

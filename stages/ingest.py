@@ -23,8 +23,10 @@ from schemas.scene import SceneSpec
 LABELS = ("name", "task", "consent", "operator", "site")
 """What a map says about episodes and not about reading: a change of these converts nothing again."""
 NOTHING: Mapping[str, tuple[Path, CameraFile]] = MappingProxyType({})
-BYTES_A_SECOND = 2.5e5
-"""CPU time that each byte of a log is worth; packed messages of a few bytes are the slowest to read."""
+LEAST_S, BYTES_A_SECOND = 3.5, 6e4
+"""CPU time for any log [s], and bytes that are worth a second more: JSON of a robot at rest, packed 200 to 1."""
+PASSING = ("wall time", "died")
+"""Words of reasons that may not hold the next time: a busy machine, one short of memory."""
 OTHERS = ("child", "fingerprint", "inspection", "roles", "suggest", "survey", "worker")
 """Modules of pipeline/logs that change no byte of a conversion."""
 
@@ -53,15 +55,19 @@ def ingest(log: Path, declared: IngestMap, *, sha: str, folder: Path, children: 
                       reads=_reads(declared), code=code_hash(), state="refused",
                       made_from=camera_hashes(declared, accept_truncated=accept_truncated))
     try:
-        limits = Limits.of(log, bytes_a_second=BYTES_A_SECOND)
         there = {name: (str(file), told.model_dump(mode="json")) for name, (file, told) in known.items()}
         told = children.call(conversions.convert, str(log), declared.model_dump_json(), str(folder), accept_truncated,
-                             there, where=log, limits=limits)
+                             there, where=log, limits=_limits(log))
     except RecordingError as error:
         return made.model_copy(update={"state": "quarantined", "reason": error.what, "mend": error.mend})
     except ConfigError as error:
         return made.model_copy(update={"reason": error.what, "mend": error.mend})
     return made.model_copy(update={"state": "converted", "result": Converted.model_validate(told)})
+
+
+def lasts(made: Conversion) -> bool:
+    """Whether a conversion would come out so again, and is worth keeping."""
+    return made.state != "quarantined" or not any(words in made.reason for words in PASSING)
 
 
 def conversion_id(sha: str, declared: IngestMap, *, accept_truncated: bool = False) -> str:
@@ -99,6 +105,11 @@ def episodes_of(made: Conversion, declared: IngestMap) -> tuple[Ingestion, list[
         for span in made.result.spans
     ]
     return Ingestion(id=id, conversion=made.id, declared=declared, episodes=tuple(e.id for e in episodes)), episodes
+
+
+def _limits(log: Path) -> Limits:
+    cpu_s = LEAST_S + log.stat().st_size / BYTES_A_SECOND
+    return Limits(cpu_s=cpu_s, wall_s=30 + 4 * cpu_s)
 
 
 def _scene(made: Conversion, declared: IngestMap, boundary: int) -> SceneSpec:

@@ -15,6 +15,7 @@ from flows.cli import main
 from flows.ingesting import Ingest
 from pipeline.files import sha256_file
 from pipeline.logs.cameras import Images
+from pipeline.logs.child import Limits
 from pipeline.store import Store
 from pipeline.store.gc import unreferenced
 from schemas.consent import Consent
@@ -178,6 +179,17 @@ def test_bad_logs_are_set_aside_with_the_reason_and_the_others_go_on(ingest, wal
     assert code == 0
     assert 1 <= len(told["logs"][0]["episodes"]) <= 3
     assert any("ends early" in p for p in told["logs"][0]["problems"])
+
+
+def test_a_log_that_a_busy_machine_was_too_slow_for_is_tried_again(ingest, walk, store, monkeypatch):
+    log = walk()
+    with monkeypatch.context() as busy:
+        busy.setattr("stages.ingest._limits", lambda log: Limits(cpu_s=100, wall_s=0.01))
+        code, told, _ = ingest(log, "--json")
+    assert (code, told["logs"][0]["state"]) == (2, "quarantined")
+    assert "of wall time to read" in told["logs"][0]["reason"]
+    code, told, _ = ingest(log, "--json")
+    assert (code, told["logs"][0]["state"], told["logs"][0]["kept"]) == (0, "converted", False)
 
 
 @pytest.mark.parametrize(("make", "line", "mend"), [
