@@ -11,12 +11,13 @@ from tempfile import mkdtemp
 from pipeline.errors import RecordingError
 from pipeline.logs.child import Children
 from pipeline.logs.convert import CAMERA, FRAMES, PROGRESS, PROGRESS_S
+from pipeline.logs.identity import camera_hashes, code_hash, conversion_id
 from pipeline.recording.quarantine import QUARANTINE, note_refused
 from pipeline.store import Store
 from schemas.conversion import CameraFile, Conversion, RawLog
 from schemas.episode import Episode
 from schemas.ingest import IngestMap
-from stages.ingest import camera_hashes, code_hash, conversion_id, episodes_of, ingest, lasts
+from stages.ingest import episodes_of, ingest, lasts
 
 MAGIC = b"\x89MCAP0\r\n"
 BEGIN = "name MCAP recordings; rosbag2 folders of another kind are converted first: ros2 bag convert"

@@ -1,34 +1,27 @@
 """Ingest: somebody else's log and a declared map become a conversion, and that becomes episodes."""
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-from pipeline import arrow, frames
 from pipeline.errors import ConfigError, RecordingError
-from pipeline.files import sha256, short_id, source_hash
+from pipeline.files import short_id
 from pipeline.lerobot_view.split import DRAWN
 from pipeline.logs import convert as conversions
 from pipeline.logs.child import Children, Limits
+from pipeline.logs.identity import camera_hashes, code_hash, conversion_id, reads_hash
 from pipeline.store.ingests import INGEST
-from schemas import conversion as shapes
-from schemas import ingest as maps
 from schemas.consent import NO_CONSENT
 from schemas.conversion import CameraFile, Conversion, Converted, Ingestion
 from schemas.episode import Episode, Outcome, Segment
 from schemas.ingest import IngestMap, SaidOutcome
 from schemas.scene import SceneSpec
 
-LABELS = ("name", "task", "consent", "operator", "site")
-"""What a map says about episodes and not about reading: a change of these converts nothing again."""
 NOTHING: Mapping[str, tuple[Path, CameraFile]] = MappingProxyType({})
 LEAST_S, BYTES_A_SECOND = 3.5, 6e4
 """CPU time for any log [s], and bytes that are worth a second more: JSON of a robot at rest, packed 200 to 1."""
 PASSING = ("wall time", "died")
 """Words of reasons that may not hold the next time: a busy machine, one short of memory."""
-OTHERS = ("child", "fingerprint", "inspection", "roles", "suggest", "survey", "worker")
-"""Modules of pipeline/logs that change no byte of a conversion."""
 
 
 def ingest(log: Path, declared: IngestMap, *, sha: str, folder: Path, children: Children,
@@ -52,7 +45,7 @@ def ingest(log: Path, declared: IngestMap, *, sha: str, folder: Path, children: 
         StoreError: the disk is full.
     """
     made = Conversion(id=conversion_id(sha, declared, accept_truncated=accept_truncated), log=sha,
-                      reads=_reads(declared), code=code_hash(), state="refused",
+                      reads=reads_hash(declared), code=code_hash(), state="refused",
                       made_from=camera_hashes(declared, accept_truncated=accept_truncated))
     try:
         there = {name: (str(file), told.model_dump(mode="json")) for name, (file, told) in known.items()}
@@ -68,26 +61,6 @@ def ingest(log: Path, declared: IngestMap, *, sha: str, folder: Path, children: 
 def lasts(made: Conversion) -> bool:
     """Whether a conversion would come out so again, and is worth keeping."""
     return made.state != "quarantined" or not any(words in made.reason for words in PASSING)
-
-
-def conversion_id(sha: str, declared: IngestMap, *, accept_truncated: bool = False) -> str:
-    """Id of what a log becomes: it follows from the log, what the map says about reading, and the code."""
-    return short_id("conversion", sha, _reads(declared), code_hash(), accept_truncated)
-
-
-def camera_hashes(declared: IngestMap, *, accept_truncated: bool = False) -> dict[str, str]:
-    """camera.NAME -> hash of what decides which images are taken of a log; which frame uses which plays no part."""
-    return {conversions.CAMERA + name: sha256(json.dumps([c.topic, c.field, c.clock or declared.clock,
-                                                          accept_truncated]).encode())
-            for name, c in declared.cameras.items()}
-
-
-def code_hash() -> str:
-    """Hash of every source file that decides which frames a log becomes."""
-    here = Path(__file__)
-    ours = [file for file in (here.parents[1] / "pipeline" / "logs").glob("*.py") if file.stem not in OTHERS]
-    shared = [here.parents[1] / "pipeline" / "recording" / f"{name}.py" for name in ("errors", "fields", "records")]
-    return source_hash([here, *ours, *shared, *(Path(m.__file__ or "") for m in (arrow, frames, maps, shapes))])
 
 
 def episodes_of(made: Conversion, declared: IngestMap) -> tuple[Ingestion, list[Episode]]:
@@ -119,8 +92,3 @@ def _scene(made: Conversion, declared: IngestMap, boundary: int) -> SceneSpec:
     return SceneSpec(family="foreign", seed=seed, robot=declared.robot, scene=declared.site or "elsewhere",
                      task=declared.name, stratum="foreign", object_xy_m=(0, 0), object_yaw_rad=0, object_half_m=0,
                      target_xy_m=(0, 0))
-
-
-def _reads(declared: IngestMap) -> str:
-    told = declared.model_dump(mode="json", exclude=set(LABELS))
-    return sha256(json.dumps(told, sort_keys=False).encode())

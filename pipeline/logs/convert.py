@@ -9,7 +9,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from pipeline.errors import ConfigError, RecordingError
+from pipeline.errors import ConfigError, RecordingError, StoreError
 from pipeline.logs.batch import Channel
 from pipeline.logs.decode import Decoder, decoder
 from pipeline.logs.framing import Framing
@@ -17,7 +17,6 @@ from pipeline.logs.intake import CameraIntake, EventIntake, Intake, StateIntake
 from pipeline.logs.mapping import EXAMPLE
 from pipeline.logs.stream import LogReader, open_log
 from pipeline.logs.tracks import tracks
-from pipeline.store.folder import explain
 from schemas.conversion import CameraFile, TopicUse
 from schemas.ingest import IngestMap, Marker, TopicOutcome
 
@@ -48,14 +47,15 @@ def convert(log: str, declared: str, folder: str, accept_truncated: bool = False
     Raises:
         RecordingError: the log is damaged or hostile.
         ConfigError: the map and the log do not fit; a topic that is missing is one case.
-        StoreError: the disk is full.
+        StoreError: the disk is full, or refuses.
     """
     try:
         asked, there = IngestMap.model_validate_json(declared), {
             name: (Path(file), CameraFile.model_validate(told)) for name, (file, told) in (known or {}).items()}
         return _convert(Path(log), asked, Path(folder), accept_truncated, there)
     except OSError as error:
-        raise explain(error, folder) from error
+        raise StoreError(f"the conversion cannot be written: {error.strerror or error}", where=folder,
+                         mend="free some space (hardcase gc shows what can go), then ingest again") from error
 
 
 def _convert(log: Path, asked: IngestMap, into: Path, accept_truncated: bool,
