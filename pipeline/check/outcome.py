@@ -14,6 +14,8 @@ NEEDED = ("object_x", "object_y", "object_z", "target_x", "target_y", "ee_x", "e
 """Columns, wherever they are recorded, that the task's success is judged by; see pipeline.frames."""
 ROUNDING_M = 0.003
 """What two looks at one object differ by [m]."""
+HANDED_OVER = ("corrected", "oracle")
+"""Sources of episodes that a trigger ended for the policy only: a person went on, and says how they ended."""
 SEEN_OUTCOMES = ("success", "failure")
 
 
@@ -57,7 +59,9 @@ def _room(signals: Signals, rule: Success, slack: float) -> float:
 
     A simulator judges by the truth, which perception misses by the slack; sensors and people judge by what is recorded.
     """
-    judge = signals.episode.outcome.judged_by if signals.episode is not None else "simulator"
+    by_people = signals.metadata.get("episode", {}).get("source") in HANDED_OVER
+    told = "operator" if by_people else "simulator"
+    judge = signals.episode.outcome.judged_by if signals.episode is not None else told
     return min(slack, rule.within_m / 2) if judge == "simulator" else ROUNDING_M
 
 
@@ -65,7 +69,7 @@ def _recorded(signals: Signals) -> tuple[str, str]:
     """The recorded outcome, and the trigger that ended an attempt of a policy."""
     record = signals.metadata.get("episode", {})
     if signals.episode is None:
-        return record.get("outcome", ""), record.get("trigger", "")
+        return record.get("outcome", ""), "" if record.get("source") in HANDED_OVER else record.get("trigger", "")
     outcome = signals.episode.outcome
     handed_over = any(s.kind == "intervention" for s in signals.episode.segments)
     return outcome.label, "" if handed_over else outcome.trigger or ""
