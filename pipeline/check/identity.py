@@ -23,6 +23,8 @@ SHOWN = 20
 """Findings that a check lists before it only counts."""
 MAX_ROWS = 50_000
 """Rows of an episode that are compared one by one; 17 minutes at 50 Hz."""
+STILL = 0.05
+"""Share of the largest range that every column counts with at least."""
 COMMON = 8
 """Episodes that share a row above which it says nothing: all begin in the same pose."""
 
@@ -142,7 +144,8 @@ def same_motion(motions: Sequence[Motion], thresholds: Thresholds) -> list[Twins
         for pair, share in _shared(members, motions).items():
             if share >= thresholds.twin_rows:
                 a, b = pair
-                found.setdefault(pair, Twins(a, b, f"shares {share:.0%} of its rows with {motions[a].name}", 1 - share))
+                what = f"shares {share:.0%} of its rows with {motions[a].name}"
+                found.setdefault(pair, Twins(a, b, what, max(1 - share, 1e-12)))
     pairs = [twins for _, twins in sorted(found.items())]
     return [t for t in pairs if t.distance == 0 or not _relatives(motions[t.first], motions[t.second])]
 
@@ -156,6 +159,7 @@ def _near(members: Sequence[int], motions: Sequence[Motion], limit: float) -> di
     stack = np.stack([motions[k].shape for k in members])
     flat = stack.reshape(-1, stack.shape[2])
     span = np.ptp(flat, axis=0)
+    span = np.maximum(span, STILL * span.max(initial=0.0))  # what hardly moves must not weigh by its noise
     kept = span > 1e-6
     if not kept.any():
         return {}

@@ -13,21 +13,21 @@ from pipeline.check.swapped import fingerprint
 from pipeline.recording.dialect import FRAME_TOPICS
 from schemas.contract import CameraRule, Contract, Evaluation, Limit, Thresholds, TopicRule
 
-SPEED_ROOM = 3
-"""How much faster than in a good log a joint may move: another start asks for another turn of the wrist."""
+SPEED_ROOM = 2
+"""How much faster than the fastest of a good log a joint may move: another start asks for another turn of the wrist."""
 
 
 def from_log(subject: Subject, *, name: str = "default") -> Contract:
     """A contract that a good log keeps, with room for what the next good log does otherwise.
 
     Rates are those seen; gaps and jitter twice what was seen, and no less than without a contract; limits what was
-    seen and a tenth of its range, speeds three times that; cameras get their fingerprint. Offsets between clocks are
-    not taken over.
+    seen and a tenth of its range, speeds twice that of the fastest joint; cameras get their fingerprint. Offsets
+    between clocks are not taken over.
     """
     own = completed(Contract(name=name), subject)
     topics: dict[str, TopicRule] = {}
     cameras: dict[str, CameraRule] = {}
-    limits: dict[str, dict[str, Limit]] = {}
+    limits = dict(own.limits)
     for signals in subject.recordings:
         for topic in signals.topics.values():
             topics.setdefault(topic.name, _rule(signals, topic.name))
@@ -59,22 +59,31 @@ def _rule(signals: Signals, name: str) -> TopicRule:
 
 
 def _seen(reference: str, seen: Sequence[tuple[Rows, Column]], known: Mapping[str, Limit]) -> dict[str, Limit]:
+    """Limits of each column; each may move as fast as the fastest of its unit: a joint that had nothing to do here may
+    have more to do elsewhere."""
     names = seen[0][1].names
+    alike = [(times, numbers(column.rows)) for times, column in seen if column.names == names]
+    low = np.min([rows.min(axis=0) for _, rows in alike], axis=0)
+    high = np.max([rows.max(axis=0) for _, rows in alike], axis=0)
+    speed = np.max([_speeds(times, rows) for times, rows in alike], axis=0)
+    room = np.maximum(0.1 * (high - low), np.maximum(0.01 * np.maximum(np.abs(low), np.abs(high)), 1e-3))
+    given = [known.get(name, Limit()) for name in names]
+    units = [g.unit or unit_of(name, Contract(), reference) for g, name in zip(given, names, strict=True)]
     found: dict[str, Limit] = {}
-    for k, column in enumerate(names):
-        alike = [(t, numbers(c.rows[:, k])) for t, c in seen if c.names == names]
-        values = [v for _, v in alike]
-        low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
-        room = max(0.1 * (high - low), 0.01 * max(abs(low), abs(high)), 1e-3)
-        steps = [np.abs(np.diff(v)) / np.maximum(np.diff(t), 1e-9) for t, v in alike]
-        speed = max((float(s.max()) for s in steps if s.size), default=0.0)
-        given = known.get(column, Limit())
-        found[column] = Limit(
-            low=_tidy(low - room) if given.low is None else given.low,
-            high=_tidy(high + room) if given.high is None else given.high,
-            speed=given.speed or (_tidy(SPEED_ROOM * speed) if speed > 0 else None),
-            unit=given.unit or unit_of(column, Contract(), reference))
+    for k, (name, limit) in enumerate(zip(names, given, strict=True)):
+        fastest = SPEED_ROOM * max(float(v) for v, unit in zip(speed, units, strict=True) if unit == units[k])
+        found[name] = Limit(low=_tidy(float(low[k] - room[k])) if limit.low is None else limit.low,
+                            high=_tidy(float(high[k] + room[k])) if limit.high is None else limit.high,
+                            speed=limit.speed or (_tidy(fastest) if fastest > 0 else None), unit=units[k])
     return found
+
+
+def _speeds(times_s: Rows, rows: Rows) -> Rows:
+    """The largest rate of change of each column [unit/s], shape (d,); a late message makes no joint fast."""
+    steps = np.diff(times_s)
+    if not steps.size or not np.median(steps) > 0:
+        return np.zeros(rows.shape[1])
+    return (np.abs(np.diff(rows, axis=0)) / np.maximum(steps, np.median(steps))[:, None]).max(axis=0)
 
 
 def _same_as(subject: Subject) -> Evaluation | None:

@@ -1,5 +1,6 @@
 """Joints against their commands: standing still, running behind, jumping out and back."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -94,7 +95,7 @@ def frozen(signals: Signals, contract: Contract) -> Iterator[Finding]:
             continue
         for column, name in enumerate(both.names):
             limit = _moved(name, contract, both.pair.measured)
-            start, stop = _standstill(both.measured[:, column], both.commanded[:, column], limit)
+            start, stop = _standstill(both.measured[:, column], both.commanded[:, column], limit, _late(both, contract))
             span_s = (stop - start) * both.period_s
             if span_s >= contract.thresholds.frozen_s:
                 moved = float(np.ptp(both.commanded[start:stop + 1, column]))
@@ -109,13 +110,19 @@ def _moved(name: str, contract: Contract, reference: str) -> float:
     return limits.frozen_m if unit_of(name, contract, reference) == "m" else limits.frozen_rad
 
 
-def _standstill(measured: Rows, commanded: Rows, moved: float) -> tuple[int, int]:
-    """First and last row of the longest run of equal readings in which the command moved by `moved`; 0, 0 if none."""
+def _late(both: Followed, contract: Contract) -> int:
+    """Rows by which a measurement may rightly run behind its command."""
+    return math.ceil((both.pair.lag_s or (0.0, contract.thresholds.lag_high_s))[1] / both.period_s)
+
+
+def _standstill(measured: Rows, commanded: Rows, moved: float, late: int) -> tuple[int, int]:
+    """First and last row of the longest run of equal readings in which the command moved by `moved`, and `late` rows
+    were left to follow it; 0, 0 if there is none."""
     edges = np.flatnonzero(np.abs(np.diff(measured)) > 1e-9) + 1
     starts, stops = np.concatenate([[0], edges]), np.concatenate([edges - 1, [len(measured) - 1]])
     best = (0, 0)
     for start, stop in zip(starts.tolist(), stops.tolist(), strict=True):
-        if stop - start > best[1] - best[0] and np.ptp(commanded[start:stop + 1]) >= moved:
+        if stop - start > max(best[1] - best[0], late) and np.ptp(commanded[start:stop + 1 - late]) >= moved:
             best = (start, stop)
     return best
 
@@ -152,7 +159,7 @@ def _moving(leader: Rows, both: Followed, contract: Contract) -> NDArray[np.bool
 
 
 def spikes(signals: Signals, contract: Contract) -> Iterator[Finding]:
-    """A reading that jumps out and back within one sample, as no joint can."""
+    """A reading that jumps out and back within one sample, and was not commanded to."""
     done = set[str]()
     for both in followed(signals, contract):
         reference = both.pair.measured
@@ -161,6 +168,7 @@ def spikes(signals: Signals, contract: Contract) -> Iterator[Finding]:
         done.add(reference)
         steps = np.diff(both.measured, axis=0)
         out = np.where(steps[:-1] * steps[1:] < 0, np.minimum(np.abs(steps[:-1]), np.abs(steps[1:])), 0.0)
+        out = np.where(_swing(both.commanded, _late(both, contract))[1:-1] < out / 2, out, 0.0)
         for column, name in enumerate(both.names):
             limit = _spike(contract.thresholds, unit_of(name, contract, reference))
             found = np.flatnonzero(out[:, column] > limit)
@@ -171,6 +179,14 @@ def spikes(signals: Signals, contract: Contract) -> Iterator[Finding]:
                               where=f"{reference} {name}", at_s=float(both.clock_s[row]), frame=row,
                               value=float(out[row - 1, column]), limit=limit,
                               mend="look at the encoder's cable; drop the episode, or filter it before training")
+
+
+def _swing(commanded: Rows, late: int) -> Rows:
+    """How far each command went out and back again within the last `late` rows, shape (n, d); 0 where it went on."""
+    padded = np.concatenate([np.repeat(commanded[:1], late, axis=0), commanded])
+    windows = np.lib.stride_tricks.sliding_window_view(padded, late + 1, axis=0)
+    first, last = windows[..., 0], windows[..., -1]
+    return np.maximum(windows.max(axis=2) - np.maximum(first, last), np.minimum(first, last) - windows.min(axis=2))
 
 
 def _spike(thresholds: Thresholds, unit: str) -> float:

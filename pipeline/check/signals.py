@@ -15,6 +15,8 @@ type Ns = NDArray[np.int64]
 type Rows = NDArray[np.float64]
 type Pictures = NDArray[np.uint8]
 
+BURST = 6
+"""Intervals that are looked at together: a whole number of bursts of 2 and of 3 messages."""
 THUMB = (16, 12)
 """Width and height of the grey pictures that camera checks look at [px]."""
 
@@ -60,16 +62,24 @@ class Topic:
 
     @cached_property
     def period_s(self) -> float:
-        """Median interval of the recorder's stamps [s]; NaN with fewer than 3 messages."""
-        return float(np.median(np.diff(self.log_ns))) / 1e9 if len(self) > 2 else float("nan")
+        """Usual interval of the recorder's stamps [s]; NaN with fewer than 3 messages.
+
+        The median over BURST intervals in a row, so that messages which arrive two or three at a time have the period
+        at which they were sent.
+        """
+        return float(np.median(self._spans_s)) if len(self) > 2 else float("nan")
+
+    @cached_property
+    def _spans_s(self) -> Rows:
+        width = min(BURST, len(self) - 1)
+        return (self.log_ns[width:] - self.log_ns[:-width]) / width / 1e9
 
     @cached_property
     def steady(self) -> bool:
-        """Whether it speaks at a rate, not at events: 8 messages and more, most intervals near their median."""
+        """Whether it speaks at a rate, not at events: 8 messages and more, most spans near the usual one."""
         if len(self) < 8 or not self.period_s > 0:
             return False
-        steps = np.diff(self.log_ns) / 1e9
-        return float(np.mean(np.abs(steps - self.period_s) < 0.75 * self.period_s)) > 0.7
+        return float(np.mean(np.abs(self._spans_s - self.period_s) < 0.5 * self.period_s)) > 0.7
 
 
 @dataclass(frozen=True, slots=True)

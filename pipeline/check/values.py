@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from pipeline.check.following import correlation
 from pipeline.check.motion import followed, unit_of
 from pipeline.check.signals import Column, Rows, Signals, Topic
 from schemas.contract import Contract, Limit
@@ -14,6 +15,8 @@ UNMEASURED = ("velocity", "effort", "covariance")
 DEGREES, MILLIMETRES = 180 / np.pi, 1000.0
 FULL_TURN, FAR_M = 2 * np.pi, 10.0
 """No revolute joint turns further [rad], no tabletop reaches further [m], where no limit is known."""
+MOVED, TOGETHER = 0.01, 0.7
+"""How far a signal must move [rad, m], and how much alike its command, before their ratio says something of units."""
 NEAR = 0.25
 """How close the ratio of two signals must come to a factor between units, as a share of it."""
 
@@ -101,7 +104,8 @@ def units(signals: Signals, contract: Contract) -> Iterator[Finding]:
             small, large = sorted((float(spread[0][column]), float(spread[1][column])))
             at = both.pair.measured if spread[0][column] > spread[1][column] else both.pair.commanded
             told_already = {(both.pair.measured, name), (both.pair.commanded, name)} & told
-            if small > 1e-3 and abs(large / small / factor - 1) < NEAR and not told_already:
+            alike = correlation(both.measured[:, column], both.commanded[:, column])
+            if small > MOVED and alike > TOGETHER and abs(large / small / factor - 1) < NEAR and not told_already:
                 other = both.pair.commanded if at == both.pair.measured else both.pair.measured
                 yield Finding(check="units", what=f"{name} looks like {wrong}: it moves {large / small:.0f} times as "
                               f"far as in {other}", where=f"{at} {name}", value=large / small, limit=1.0,

@@ -1,11 +1,12 @@
 """Pictures against rows: as many as there should be, and of the same moment."""
 
 from collections.abc import Iterator
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.check.following import best_lag, resample
+from pipeline.check.following import Fit, best_lag, resample
 from pipeline.check.motion import followed
 from pipeline.check.projection import tool_track
 from pipeline.check.signals import Camera, Rows, Signals, Subject
@@ -81,28 +82,40 @@ def shifted_video(signals: Signals, contract: Contract) -> Iterator[Finding]:
     if moving is None:
         return
     stamps_ns, speed, period_s = moving
-    zero = int(stamps_ns[0])
-    own = (stamps_ns - zero) / 1e9
     for name, camera in signals.cameras.items():
-        energy = camera.energy()
-        if len(energy) < MANY or not energy.any():
-            continue
-        stamps = (camera.stamps_ns - zero) / 1e9
-        period = max(period_s, float(np.median(np.diff(stamps))))
-        clock = np.arange(max(own[0], stamps[0]), min(own[-1], stamps[-1]), period, dtype=np.float64)
-        if len(clock) < MANY:
-            continue
-        fit = best_lag(resample(own, np.sqrt(speed)[:, None], clock),
-                       resample(stamps, np.sqrt(energy)[:, None], clock), period,
-                       allowed_s=(-limits.video_shift_s, limits.video_shift_s))
-        if fit is None or fit.correlation < max(limits.lag_correlation, fit.within + limits.video_gain):
-            continue
-        if abs(fit.lag_s) > limits.video_shift_s:
-            side = "behind" if fit.lag_s > 0 else "ahead of"
-            yield Finding(check="shifted-video", what=f"pictures run {abs(fit.lag_s):.3g} s {side} the joints "
-                          f"({abs(fit.lag_s) / period:.0f} frames)", where=name, value=fit.lag_s,
-                          limit=limits.video_shift_s,
-                          mend="stamp pictures when they are exposed, and align rows by stamps, not by number")
+        both = (_fit(camera, part, stamps_ns, speed, period_s, contract) for part in (slice(None), _changing(camera)))
+        for fit, period in filter(None, both):
+            if fit.correlation >= max(limits.lag_correlation, fit.within + limits.video_gain) \
+                    and abs(fit.lag_s) > limits.video_shift_s:
+                side = "behind" if fit.lag_s > 0 else "ahead of"
+                yield Finding(check="shifted-video", what=f"pictures run {abs(fit.lag_s):.3g} s {side} the joints "
+                              f"({abs(fit.lag_s) / period:.0f} frames)", where=name, value=fit.lag_s,
+                              limit=limits.video_shift_s,
+                              mend="stamp pictures when they are exposed, and align rows by stamps, not by number")
+                break
+
+
+def _fit(camera: Camera, part: slice, stamps_ns: NDArray[np.int64], speed: Rows, period_s: float,
+         contract: Contract) -> tuple[Fit, float] | None:
+    """Where a part of a camera's pictures fits the motion best, and the period of the clock for the comparison [s]."""
+    zero, shift = int(stamps_ns[0]), contract.thresholds.video_shift_s
+    own, energy, stamps = (stamps_ns - zero) / 1e9, camera.energy()[part], (camera.stamps_ns[part] - zero) / 1e9
+    if len(energy) < MANY or not energy.any():
+        return None
+    period = max(period_s, float(np.median(np.diff(stamps))))
+    clock = np.arange(max(own[0], stamps[0]), min(own[-1], stamps[-1]), period, dtype=np.float64)
+    if len(clock) < MANY:
+        return None
+    fit = best_lag(resample(own, np.sqrt(speed)[:, None], clock), resample(stamps, np.sqrt(energy)[:, None], clock),
+                   period, allowed_s=(-shift, shift))
+    return None if fit is None else (fit, period)
+
+
+def _changing(camera: Camera) -> slice:
+    """The pictures without those at both ends that only repeat one: a shifted video may be filled up so."""
+    new = np.array([a != b for a, b in pairwise(camera.prints)], np.bool_)
+    at = np.flatnonzero(new)
+    return slice(int(at[0]), int(at[-1]) + 2) if at.size else slice(0, 0)
 
 
 def _moving(signals: Signals, contract: Contract) -> tuple[NDArray[np.int64], Rows, float] | None:
