@@ -105,6 +105,28 @@ MIGRATIONS: tuple[str, ...] = (
         json TEXT NOT NULL
     ) STRICT;
     """,
+    """
+    CREATE TABLE erasure (
+        place INTEGER PRIMARY KEY, id TEXT NOT NULL UNIQUE, state TEXT NOT NULL, json TEXT NOT NULL
+    ) STRICT;
+    CREATE TABLE erased (
+        id TEXT PRIMARY KEY, kind TEXT NOT NULL, erasure TEXT NOT NULL REFERENCES erasure (id)
+    ) STRICT, WITHOUT ROWID;
+    CREATE TABLE erased_version (
+        version TEXT NOT NULL REFERENCES version (id), episode TEXT NOT NULL, PRIMARY KEY (version, episode)
+    ) STRICT, WITHOUT ROWID;
+    CREATE INDEX erased_in_version ON erased_version (episode);
+    CREATE INDEX policy_dataset ON policy (dataset);
+    CREATE INDEX version_parent ON version (parent);
+    CREATE INDEX version_blob ON version_input (blob);
+    CREATE INDEX verdict_candidate ON verdict (candidate);
+    CREATE INDEX release_policy ON release (policy);
+    CREATE INDEX hard_case_episode ON hard_case (episode);
+    CREATE INDEX hard_case_correction ON hard_case (correction);
+    CREATE INDEX ingestion_conversion ON ingestion (conversion);
+    CREATE INDEX episode_transform ON episode (json_extract(json, '$.transform'));
+    CREATE INDEX episode_consent ON episode (json_extract(json, '$.consent'));
+    """,
 )
 """Migration k brings a catalog from schema k to k + 1. Never edit one that was released; append."""
 
@@ -206,12 +228,30 @@ class Catalog:
             self._fault("checkpoint")
             self.db.execute("PRAGMA wal_checkpoint(PASSIVE)")
 
+    def scrub(self) -> None:
+        """Leave no byte of deleted rows in the file, its free pages or the WAL.
+
+        Raises:
+            StoreError: another process reads the catalog for over 10 s, or there is no space for a second copy.
+        """
+        with self.turn():
+            try:
+                self.db.execute("VACUUM")  # rows that were deleted before secure_delete was on have left pieces, too
+                deadline = time.monotonic() + WAIT_S
+                while self.db.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()[0]:
+                    if time.monotonic() > deadline:
+                        raise busy(self.path.with_name(f"{self.path.name}-wal"))
+                    time.sleep(0.02)
+            except sqlite3.Error as error:
+                raise explain(error, self.path) from error
+
     def _prepare(self, migrations: tuple[str, ...]) -> None:
         with self.turn():
             self.db.execute("PRAGMA journal_mode=WAL")
             self.db.execute("PRAGMA synchronous=FULL")
             self.db.execute("PRAGMA foreign_keys=ON")
             self.db.execute("PRAGMA wal_autocheckpoint=0")
+            self.db.execute("PRAGMA secure_delete=ON")  # what was forgotten does not stay in free pages
             self._refuse_strangers(len(migrations))
             (have,) = self.db.execute("PRAGMA user_version").fetchone()
             for number, script in enumerate(migrations[have:], have + 1):
