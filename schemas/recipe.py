@@ -7,6 +7,11 @@ from pydantic import Field, model_validator
 from schemas.base import Frozen, Name
 
 
+def _none_given(cameras: object) -> bool:
+    """No camera is the same as no word about cameras: the ids of recipes without any stay as they were."""
+    return not cameras
+
+
 class CollectConfig(Frozen):
     """Scripted demonstrations of generation 0."""
 
@@ -25,6 +30,27 @@ class AugmentConfig(Frozen):
     keep_rejected: bool = Field(default=False, description="control arm: failed variants are left in")
 
 
+class CameraConfig(Frozen):
+    """What a dataset version keeps of one camera's pictures."""
+
+    width: int | None = Field(default=None, ge=16, le=8192, multiple_of=2,
+                              description="[px]; the camera's own, made even, where it is not given")
+    height: int | None = Field(default=None, ge=16, le=8192, multiple_of=2, description="[px], as width")
+    crop: tuple[int, int, int, int] | None = Field(
+        default=None, description="left, top, width, height of what is kept of each picture, before it is scaled [px]")
+    max_skew_s: float = Field(
+        default=0.5, gt=0, description="how old a picture of a recording may be when a frame shows it [s]")
+
+    @model_validator(mode="after")
+    def both_sizes_or_none(self) -> Self:
+        """Width and height are given together, and a crop has a place and a size."""
+        if (self.width is None) != (self.height is None):
+            raise ValueError(f"width {self.width} and height {self.height}: give both or none")
+        if self.crop is not None and (min(self.crop[:2]) < 0 or min(self.crop[2:]) < 1):
+            raise ValueError(f"crop {self.crop}: left and top are 0 or more, width and height 1 or more")
+        return self
+
+
 class DatasetConfig(Frozen):
     """Sources, filter, weights and split of a dataset version."""
 
@@ -35,6 +61,8 @@ class DatasetConfig(Frozen):
     )
     held_out: float = Field(default=0.1, ge=0, lt=0.5, description="share of lineages in the validation split")
     only_success: bool = True
+    cameras: dict[Name, CameraConfig] = Field(
+        default={}, exclude_if=_none_given, description="cameras whose pictures are kept as videos, by name")
 
     @model_validator(mode="after")
     def weights_are_shares(self) -> Self:
