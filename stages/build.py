@@ -17,7 +17,7 @@ from pipeline.consent import NO_CONSENTS, Consents, needs
 from pipeline.errors import ConfigError, DatasetError
 from pipeline.files import short_id, source_hash
 from pipeline.frames import FEATURES, Features, Table
-from pipeline.lerobot_view import exact, layout, manifest, sharing, split, tables, writer
+from pipeline.lerobot_view import exact, layout, manifest, sealing, sharing, split, tables, writer
 from pipeline.lerobot_view.agreement import features_in, refuse_others
 from pipeline.lerobot_view.manifest import load_version
 from pipeline.lerobot_view.tables import Row
@@ -116,8 +116,8 @@ def _content(facts: Mapping[str, object], rows: Sequence[Row], held: frozenset[s
 def code_hash() -> str:
     """Hash of every source file that decides which bytes a recording becomes."""
     here = Path(__file__)
-    files = [Path(m.__file__ or "") for m in (arrow, frames, shards, trace, exact, layout, manifest, sharing, split,
-                                              tables, writer)]
+    files = [Path(m.__file__ or "") for m in (arrow, frames, shards, trace, exact, layout, manifest, sealing, sharing,
+                                              split, tables, writer)]
     return source_hash([here, *files, *(here.parents[1] / name for name in READING)])
 
 

@@ -1,14 +1,14 @@
 """The lineage of a version, read back from its folder and checked against the bytes."""
 
-import hashlib
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
 from pipeline.errors import DatasetError
-from pipeline.files import sha256_file
+from pipeline.files import sha256, sha256_file
 from pipeline.lerobot_view.layout import MANIFEST, files_in
 from schemas.dataset import DatasetVersion
 
@@ -36,6 +36,11 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     return manifest  # pyright: ignore[reportUnknownVariableType]
 
 
+def digest_of(files: Mapping[str, str]) -> str:
+    """The digest of a folder from those of its files, by relative path."""
+    return sha256("".join(f"{name}\0{files[name]}\n" for name in sorted(files)).encode())
+
+
 def load_version(folder: Path) -> DatasetVersion:
     """The version that lies in a folder, its digest taken from the bytes that are there now.
 
@@ -44,7 +49,7 @@ def load_version(folder: Path) -> DatasetVersion:
     """
     manifest = read_manifest(folder)
     files = {p.relative_to(folder).as_posix(): sha256_file(p) for p in files_in(folder)}
-    digest = hashlib.sha256("".join(f"{name}\0{files[name]}\n" for name in sorted(files)).encode()).hexdigest()
+    digest = digest_of(files)
     try:
         promised: dict[str, str] = {**manifest["files"], MANIFEST: files[MANIFEST]}
         version = DatasetVersion.model_validate({**manifest["version"], "digest": digest})

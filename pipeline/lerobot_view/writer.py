@@ -1,20 +1,16 @@
-"""Writes a version folder: built aside, made durable and read-only, then named in one step."""
+"""Writes a version folder from frames."""
 
-import errno
-import json
-import os
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.errors import DatasetError
-from pipeline.files import sha256_file, sync_folder
 from pipeline.frames import FEATURES, Features, Table
 from pipeline.lerobot_view import layout
 from pipeline.lerobot_view.agreement import refuse_others
 from pipeline.lerobot_view.exact import as_matrix, by_feature, measure
+from pipeline.lerobot_view.sealing import building, link, seal, write_json, write_manifest
 from pipeline.lerobot_view.sharing import shared_with
 from pipeline.lerobot_view.tables import Columns, Place, Row, frame_columns, write_episodes, write_frames, write_tasks
 from pipeline.shards import check_frames
@@ -23,15 +19,11 @@ from schemas.episode import Episode
 type FramesOf = Callable[[Episode], Table]
 
 
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
-
-
 def write_version(target: Path, rows: Sequence[Row], frames_of: FramesOf, manifest: Mapping[str, object], *,
                   aside: Path, fps: int, robot: str, parent: Path | None = None, of: Features = FEATURES) -> None:
     """Write one LeRobot v3.0 folder that never changes again.
 
-    Whoever looks at `target` sees nothing or all of it: the folder is built elsewhere, every file is
-    fsynced, and one rename puts it in place. What a killed writer left behind is removed by the next.
+    Whoever looks at `target` sees nothing or all of it; see pipeline.lerobot_view.sealing.
 
     Args:
         target: the folder, which must not exist yet.
@@ -48,23 +40,10 @@ def write_version(target: Path, rows: Sequence[Row], frames_of: FramesOf, manife
         RecordingError, DatasetError: frames that cannot be trained on; the error names the episode.
         DatasetError: the disk is full or read-only; nothing is left behind.
     """
-    building = aside / f"version-{target.name}"
-    try:
-        if building.exists():
-            shutil.rmtree(building)
-        building.mkdir(parents=True)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        _fill(building, rows, frames_of, of, fps=fps, robot=robot, parent=parent)
-        _write_manifest(building, manifest)
-        _seal(building)
-        building.rename(target)
-        sync_folder(target.parent)
-    except BaseException as error:
-        shutil.rmtree(building, ignore_errors=True)
-        if isinstance(error, OSError) and error.errno in FULL:
-            raise DatasetError(f"the version cannot be written: {os.strerror(error.errno)}", where=target,
-                               mend="free space (hardcase gc), then build again") from error
-        raise
+    with building(target, aside) as folder:
+        _fill(folder, rows, frames_of, of, fps=fps, robot=robot, parent=parent)
+        write_manifest(folder, manifest, {})
+        seal(folder)
 
 
 def _fill(folder: Path, rows: Sequence[Row], frames_of: FramesOf, of: Features, *, fps: int, robot: str,
@@ -88,9 +67,9 @@ def _fill(folder: Path, rows: Sequence[Row], frames_of: FramesOf, of: Features, 
     total = places[-1].stop
     write_tasks(folder / layout.TASKS, tasks)
     write_episodes(folder / layout.EPISODES, rows, places, np.concatenate(measures), of)
-    _write_json(folder / layout.STATS, by_feature(measure(as_matrix(columns)), total, of))
-    _write_json(folder / layout.INFO, layout.info(robot=robot, fps=fps, episodes=len(rows), frames=total,
-                                                  tasks=len(tasks), of=of))
+    write_json(folder / layout.STATS, by_feature(measure(as_matrix(columns)), total, of))
+    write_json(folder / layout.INFO, layout.info(robot=robot, fps=fps, episodes=len(rows), frames=total,
+                                                 tasks=len(tasks), of=of))
 
 
 def _write_files(folder: Path, columns: Columns, lengths: Sequence[int], before: Sequence[Place],
@@ -119,32 +98,3 @@ def _checked(frames: Table, episode: Episode, of: Features) -> Table:
         raise DatasetError(f"{len(frames)} frames were read, the episode has {episode.frames}",
                            where=f"episode {episode.id}", mend="recover the recording or drop the episode")
     return frames
-
-
-def link(source: Path, target: Path) -> None:
-    """One file under two names; a copy where the file system cannot do that."""
-    target.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        os.link(source, target)
-    except OSError:
-        shutil.copyfile(source, target)
-
-
-def _write_manifest(folder: Path, manifest: Mapping[str, object]) -> None:
-    files = {p.relative_to(folder).as_posix(): sha256_file(p) for p in layout.files_in(folder)}
-    _write_json(folder / layout.MANIFEST, {**manifest, "files": files})
-
-
-def _write_json(path: Path, content: Mapping[str, object]) -> None:
-    path.write_text(json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
-
-
-def _seal(folder: Path) -> None:
-    """Take the right to write from every file, and wait until files and names are on the disk."""
-    for path in layout.files_in(folder):
-        path.chmod(0o444)
-        with path.open("rb") as stream:
-            os.fsync(stream.fileno())
-    for path in sorted((p for p in folder.rglob("*") if p.is_dir()), reverse=True):
-        sync_folder(path)
-    sync_folder(folder)
