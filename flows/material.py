@@ -47,8 +47,10 @@ class Material:
         return step.outputs
 
     def ids(self, generation: int, stage: str) -> list[str]:
-        """What a finished step made."""
-        return [str(i) for i in self.outputs(generation, stage)["ids"]]
+        """What a finished step made, without what was forgotten since."""
+        ids = [str(i) for i in self.outputs(generation, stage)["ids"]]
+        gone = self._store.erased(ids)
+        return [i for i in ids if i not in gone]
 
     def inputs(self, generation: int, stage: str) -> dict[str, str]:
         """Name -> ids that a stage read."""

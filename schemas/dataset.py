@@ -3,6 +3,7 @@
 from pydantic import Field
 
 from schemas.base import Frozen, Name, Sha256, ShortId
+from schemas.edits import Edit
 
 
 class DatasetVersion(Frozen):
@@ -19,4 +20,8 @@ class DatasetVersion(Frozen):
     weights: dict[str, float] = Field(description="share of each training batch by source")
     inputs: tuple[Sha256, ...] = Field(description="blobs that were read")
     code: Sha256 = Field(description="hash of the source files that transform the inputs")
-    frames: int = Field(gt=0)
+    frames: int = Field(ge=0, description="0 where every episode was forgotten")
+    erased: tuple[ShortId, ...] = Field(default=(), description="episodes that it held and that were forgotten since; "
+                                                                "with any, it is incomplete and teaches nothing")
+    edits: tuple[Edit, ...] = Field(default=(), description="what made it of its parent; empty where it was built from "
+                                                            "recordings")

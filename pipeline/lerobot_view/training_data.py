@@ -13,6 +13,7 @@ from pipeline.consent import NO_CONSENTS, Consents
 from pipeline.errors import DatasetError
 from pipeline.frames import FEATURES
 from pipeline.lerobot_view.agreement import features_in, refuse_others
+from pipeline.lerobot_view.incomplete import refuse_incomplete
 from pipeline.lerobot_view.layout import EPISODES, INTERVENTION, data_file
 from pipeline.lerobot_view.manifest import load_version
 
@@ -70,9 +71,12 @@ class TrainingData:
 
         Raises:
             ConsentError: the version holds an episode of a person who did not consent, or does not any more.
-            DatasetError: the folder is no version, was changed after it was built, or is of another robot.
+            DatasetError: the folder is no version, was changed after it was built, lost an episode that was
+                forgotten, or is of another robot.
         """
-        weights = load_version(folder).weights
+        version = load_version(folder)
+        refuse_incomplete(version, folder)
+        weights = version.weights
         refuse_others(features_in(folder), FEATURES, robot="arm", where=folder)
         episodes = read_parquet(folder / EPISODES, ["dataset_from_index", "dataset_to_index", "split", "group",
                                                     "episode_id", "consents"])

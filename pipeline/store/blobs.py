@@ -8,7 +8,7 @@ in a power cut, and nobody misses it.
 import errno
 import hashlib
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from tempfile import mkstemp
 from typing import IO
@@ -23,8 +23,9 @@ BLOCK = 1 << 20
 class Blobs:
     """The `blobs` folder of a store; safe for any number of processes at once, with no lock."""
 
-    def __init__(self, root: Path, fault: FaultPoint = no_fault) -> None:
-        self.folder, self._tmp, self._fault = root / "blobs", root / "tmp", fault
+    def __init__(self, root: Path, fault: FaultPoint = no_fault,
+                 refuse: Callable[[str], None] = lambda sha: None) -> None:
+        self.folder, self._tmp, self._fault, self._refuse = root / "blobs", root / "tmp", fault, refuse
 
     def path(self, sha: str) -> Path:
         """Where a blob is, or would be.
@@ -78,6 +79,17 @@ class Blobs:
             )
         return path
 
+    def erase(self, sha: str) -> int:
+        """Take a blob away for good; returns its size [B], 0 if it is not there."""
+        path = self.path(sha)
+        try:
+            size = path.stat().st_size
+            self._fault("erase blob")
+            path.unlink()
+        except FileNotFoundError:
+            return 0
+        return size
+
     def settle(self, shas: Iterable[str]) -> None:
         """Make the names of blobs durable, so that a row may mention them.
 
@@ -91,6 +103,7 @@ class Blobs:
 
     def _put_bytes(self, data: bytes) -> str:
         sha = sha256(data)
+        self._refuse(sha)
         if not self._present(sha, len(data)):
             handle, name = mkstemp(dir=self._tmp)
             try:
@@ -105,6 +118,12 @@ class Blobs:
 
     def _put_file(self, source: Path, move: bool) -> str:
         sha = sha256_file(source)
+        try:
+            self._refuse(sha)
+        except StoreError:
+            if move:
+                source.unlink()
+            raise
         if self._present(sha, source.stat().st_size):
             if move:
                 source.unlink()

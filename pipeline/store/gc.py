@@ -18,7 +18,7 @@ GRACE_S = 3600.0
 
 FOLDERS = ("versions", "policies", "releases")
 TABLES = ("run", "invocation", "step", "policy", "episode", "version", "verdict", "release", "hard_case",
-          "raw_log", "conversion", "ingestion")
+          "raw_log", "conversion", "ingestion")  # not `erasure`: what it names is to go
 
 _FOLDER = re.compile(rf"(?:{'|'.join(FOLDERS)})/[^/\"\\]+")
 _TEMPORARY = re.compile(r"\..+\.[a-z0-9_]{8}")  # as pipeline.files.atomic names them

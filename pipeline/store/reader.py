@@ -8,6 +8,7 @@ from pipeline.errors import StoreError
 from pipeline.store.catalog import Catalog
 from pipeline.store.checks import check_history, checks_of
 from pipeline.store.consents import consents, unknown_consent
+from pipeline.store.erasures import erased, erased_in, forgotten
 from pipeline.store.folder import check_id, check_prefix
 from pipeline.store.ingests import conversion, conversions, ingestion_of, raw_log
 from pipeline.store.records import RunInfo, StepManifest
@@ -16,14 +17,18 @@ from schemas.consent import Consent
 from schemas.conversion import Conversion, Ingestion, RawLog
 from schemas.dataset import DatasetVersion
 from schemas.episode import Episode
+from schemas.erasure import Erasure
 from schemas.finding import CheckVerdict
 from schemas.hardcase import HardCase
 from schemas.policy import PolicyRecord
 from schemas.release import Release
 from schemas.verdict import Verdict
 
-TABLES = ("policy", "version", "verdict", "hard_case", "episode", "run", "raw_log")
+TABLES = ("policy", "version", "verdict", "hard_case", "episode", "run", "raw_log", "conversion", "checked", "erased")
 """Tables whose rows have an id, in the order in which `find` looks."""
+
+_NAMED = {"erased": " AND kind <> 'blob'"}
+"""Table -> which of its rows a person may ask for."""
 
 
 class Reader:
@@ -191,6 +196,14 @@ class Reader:
         made = self.conversion(ingestion.conversion) if ingestion else None
         return made.log if made else None
 
+    def erased(self, ids: Iterable[str]) -> dict[str, Erasure]:
+        """Those of some ids or hashes that were forgotten -> when, why, and what went with them."""
+        return erased(self._catalog, ids)
+
+    def erased_in(self, version: str) -> dict[str, Erasure]:
+        """Episodes that a dataset version held until they were forgotten -> the erasure."""
+        return erased_in(self._catalog, version)
+
     def query(self, sql: str, parameters: tuple[object, ...] = ()) -> list[tuple[object, ...]]:
         """Rows of the catalog; for lineage, garbage and reports, which ask across tables. Reading only."""
         return self._catalog.rows(sql, parameters)
@@ -205,7 +218,8 @@ class Reader:
         found = [
             (table, str(id))
             for table in TABLES
-            for (id,) in self.query(f"SELECT id FROM {table} WHERE id >= ? AND id < ? LIMIT 5", (prefix, prefix + "g"))
+            for (id,) in self.query(f"SELECT id FROM {table} WHERE id >= ? AND id < ?{_NAMED.get(table, '')} LIMIT 5",
+                                    (prefix, prefix + "g"))
         ]
         if not found:
             raise self._unknown("id", prefix)
@@ -241,9 +255,11 @@ class Reader:
         return [model.model_validate_json(str(text)) for (text,) in rows]
 
     def _unknown(self, kind: str, id: str) -> StoreError:
-        """The error for what is not there: it names what looks alike, else what there is."""
+        """The error for what is not there: it says if it was forgotten, or names what looks alike, or what there is."""
+        if kind != "id" and (gone := self.erased([id])):
+            return forgotten(id, kind.replace("_", " "), gone[id])
         tables = TABLES if kind == "id" else (kind,)
-        ids = {str(i): t for t in tables for (i,) in self.query(f"SELECT id FROM {t}")}
+        ids = {str(i): t for t in tables for (i,) in self.query(f"SELECT id FROM {t} WHERE true{_NAMED.get(t, '')}")}
         near = [i for i in ids if i.startswith(id[:4])][:5] or get_close_matches(id, list(ids)[-5000:], n=5, cutoff=0.5)
         shown = near or list(ids)[-5:]
         listed = ", ".join(f"{ids[i]} {i}" for i in shown)

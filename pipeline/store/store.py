@@ -1,6 +1,6 @@
 """The store: what every stage reads from and commits to."""
 
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from datetime import datetime
@@ -10,6 +10,7 @@ from typing import Self
 
 from pipeline.errors import StoreError
 from pipeline.files import sha256_file
+from pipeline.store import erasures
 from pipeline.store import lease as leases
 from pipeline.store.blobs import Blobs
 from pipeline.store.catalog import Catalog
@@ -35,6 +36,7 @@ from schemas.consent import Consent
 from schemas.conversion import Conversion, Ingestion, RawLog
 from schemas.dataset import DatasetVersion
 from schemas.episode import Episode
+from schemas.erasure import Erasure
 from schemas.finding import CheckVerdict
 
 WAITING = 8
@@ -51,7 +53,7 @@ class Store(Reader):
     def __init__(self, root: Path, *, reserve_mb: int = RESERVE_MB, fault: FaultPoint = no_fault) -> None:
         super().__init__(Catalog(root, fault))
         self.root, self._reserve_mb, self._fault = root, reserve_mb, fault
-        self._blobs = Blobs(root, fault)
+        self._blobs = Blobs(root, fault, self._refuse_forgotten)
         self._full: StoreError | None = None
 
     @classmethod
@@ -108,13 +110,15 @@ class Store(Reader):
         return inside(self.root, relative)
 
     @contextmanager
-    def lease(self, run: str, *, holder: str | None = None, term_s: float = leases.TERM_S) -> Generator[Lease]:
+    def lease(self, run: str, *, holder: str | None = None, term_s: float = leases.TERM_S,
+              erases: bool = False) -> Generator[Lease]:
         """Be the one loop of this store while the body runs.
 
         Args:
             run: id of the run.
             holder: the command that a refused second loop is told; default: this process's command line.
             term_s: silence after which another loop may take over [s].
+            erases: this is the one who may work while an erasure is to be finished.
 
         Raises:
             StoreError: another loop runs (named in the error), or less than the reserve is free.
@@ -122,6 +126,8 @@ class Store(Reader):
         refuse_low_space(self.root, self._reserve_mb)
         lease = leases.take(self._catalog, check_id("run", run), holder, term_s)
         try:
+            if not erases:
+                erasures.refuse_unfinished(self._catalog)
             with leases.heartbeat(lambda: Catalog(self.root), lease):
                 yield lease
         finally:
@@ -180,6 +186,39 @@ class Store(Reader):
     def add_version_of_logs(self, version: DatasetVersion) -> None:
         """Note a dataset version that was built from ingested episodes alone."""
         add_version_of_logs(self._catalog, self._blobs, version)
+
+    def order_erasure(self, lease: Lease, erasure: Erasure) -> None:
+        """Write down what will be forgotten; from now on none of it comes back, and no loop starts before the end."""
+        with self._catalog.write() as db:
+            leases.renew(db, lease)
+            erasures.order(db, erasure)
+
+    def strike(self, lease: Lease, erasure: Erasure, shards: Mapping[str, str],
+               versions: Sequence[DatasetVersion]) -> None:
+        """Take the rows of an erasure away; `shards` and `versions` say what became of files that others share."""
+        with self._catalog.write() as db:
+            leases.renew(db, lease)
+            self._blobs.settle(shards.values())
+            erasures.strike(db, erasure, shards, versions)
+
+    def finish_erasure(self, lease: Lease, erasure: Erasure) -> None:
+        """Note that nothing is left of it, after the catalog itself was cleaned."""
+        self._catalog.scrub()
+        with self._catalog.write() as db:
+            leases.renew(db, lease)
+            erasures.finish(db, erasure)
+
+    def unfinished_erasures(self) -> list[Erasure]:
+        """Erasures that were ordered and cut off."""
+        return erasures.unfinished(self._catalog)
+
+    def erase_blob(self, sha: str) -> int:
+        """Take a blob away that no row mentions any more; its size [B]."""
+        return self._blobs.erase(sha)
+
+    def _refuse_forgotten(self, sha: str) -> None:
+        if gone := self.erased([sha]):
+            raise erasures.forgotten(sha[:12], "what has the hash", gone[sha])
 
     @contextmanager
     def exclusive(self) -> Generator[None]:
