@@ -4,6 +4,7 @@ lerobot's own quantiles are averages of per-episode histograms; a normaliser bui
 whatever the episodes differ in.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -48,9 +49,15 @@ def measure(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
 def by_feature(measures: NDArray[np.float64], frames: int, of: Features = FEATURES,
                ) -> dict[str, dict[str, list[float] | list[int]]]:
     """Feature -> measure -> one number a value, as stats.json holds it."""
+    return by_width(measures, frames, widths(of))
+
+
+def by_width(measures: NDArray[np.float64], frames: int, width_of: Mapping[str, int],
+             ) -> dict[str, dict[str, list[float] | list[int]]]:
+    """The same for features that are known by how many values they have, in their order."""
     result: dict[str, dict[str, list[float] | list[int]]] = {}
     row = 0
-    for name, width in widths(of).items():
+    for name, width in width_of.items():
         values = measures[:, row:row + width].tolist()
         result[name] = {**dict(zip(MEASURES, values, strict=True)), "count": [frames]}
         row += width

@@ -1,9 +1,10 @@
 """The tables of a version: frames by file, episodes, tasks."""
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -84,8 +85,12 @@ def frame_columns(rows: Sequence[Row], frames: Sequence[Table], tasks: Sequence[
 
 
 def write_frames(path: Path, columns: Columns, lengths: Sequence[int]) -> None:
+    """One data file from the frames of episodes that have these lengths."""
+    write_row_groups(path, pa.table({name: to_arrow(values) for name, values in columns.items()}), lengths)
+
+
+def write_row_groups(path: Path, table: Any, lengths: Sequence[int]) -> None:
     """One data file, one row group an episode, so that a reader can fetch a single episode."""
-    table = pa.table({name: to_arrow(values) for name, values in columns.items()})
     few_values = [INTERVENTION, "episode_index", "task_index"]
     path.parent.mkdir(parents=True, exist_ok=True)
     with pa.parquet.ParquetWriter(path, table.schema, compression="snappy", use_dictionary=few_values,
@@ -114,8 +119,8 @@ def write_tasks(path: Path, tasks: Sequence[str]) -> None:
 
 
 def write_episodes(path: Path, rows: Sequence[Row], places: Sequence[Place], measures: NDArray[np.float64],
-                   of: Features = FEATURES) -> None:
-    """The episodes table: what lerobot asks for, statistics (episodes, MEASURES, values), then our own columns."""
+                   of: Features = FEATURES, more: Mapping[str, Any] = MappingProxyType({})) -> None:
+    """The episodes table: what lerobot asks for, statistics (episodes, MEASURES, values), `more`, then our own."""
     count = len(rows)
     columns: dict[str, Any] = {
         "episode_index": _integers(range(count)),
@@ -134,7 +139,7 @@ def write_episodes(path: Path, rows: Sequence[Row], places: Sequence[Place], mea
         first += width
     columns |= {"meta/episodes/chunk_index": _integers([0] * count), "meta/episodes/file_index": _integers([0] * count)}
     path.parent.mkdir(parents=True, exist_ok=True)
-    pa.parquet.write_table(pa.table(columns | _own_columns(rows)), path)
+    pa.parquet.write_table(pa.table({**columns, **more, **_own_columns(rows)}), path)
 
 
 def _integers(values: Iterable[int]) -> Any:
