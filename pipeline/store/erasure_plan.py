@@ -48,13 +48,20 @@ def plan_erasure(store: Reader, id: str, reason: str, at: datetime, *, with_log:
     return _listed(store, whole, reason, at)
 
 
+def refuse_other_plan(store: Reader, erasure: Erasure) -> None:
+    """Raise StoreError if something was added since that would go, too."""
+    if _listed(store, erasure.episode, erasure.reason, erasure.at) != erasure:
+        raise StoreError("the store has changed since this was planned", where=f"episode {erasure.episode}",
+                         mend=f"look again at what would go: hardcase forget {erasure.episode}")
+
+
 def _listed(store: Reader, whole: str, reason: str, at: datetime) -> Erasure:
     episodes = _everything(store, [whole])
     logs = _logs(store, episodes)
     conversions = _column(store, "SELECT id FROM conversion WHERE log IN (SELECT value FROM json_each(?))", logs)
     blobs, shards = _files(store, episodes, logs, conversions)
-    versions = _column(store, "SELECT DISTINCT version FROM version_episode"
-                              " WHERE episode IN (SELECT value FROM json_each(?))", episodes)
+    versions = _column(store, "SELECT id FROM version WHERE id IN (SELECT version FROM version_episode"
+                              " WHERE episode IN (SELECT value FROM json_each(?))) ORDER BY place", episodes)
     return Erasure(
         id=short_id("erasure", whole), episode=whole, reason=reason, at=at, episodes=tuple(episodes),
         hard_cases=tuple(_column(store, "SELECT id FROM hard_case WHERE episode IN (SELECT value FROM json_each(?))",

@@ -85,7 +85,16 @@ def erased_in(catalog: Catalog, version: str) -> dict[str, Erasure]:
 def forgotten(id: str, kind: str, erasure: Erasure) -> StoreError:
     """The error for what was forgotten, wherever it is asked for or comes again."""
     return StoreError(f"{kind} {id} was forgotten on {erasure.at.date()}: {erasure.reason}",
-                      where=f"erasure {erasure.id}", mend=f"leave it out; see what went with it: hardcase why {erasure.episode}")
+                      where=f"erasure {erasure.id}",
+                      mend=f"leave it out; see what went with it: hardcase why {erasure.episode}")
+
+
+def refuse_forgotten(db: sqlite3.Connection, kind: str, ids: Iterable[str]) -> None:
+    """Raise StoreError if something that is to be added was forgotten before, or is being forgotten now."""
+    row = db.execute("SELECT erased.id, json FROM erased JOIN erasure ON erasure.id = erasure"
+                     f" WHERE erased.id IN {IDS} LIMIT 1", (dumps(list(ids)),)).fetchone()
+    if row is not None:
+        raise forgotten(row[0], kind, Erasure.model_validate_json(row[1]))
 
 
 def refuse_unfinished(catalog: Catalog) -> None:

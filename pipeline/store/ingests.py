@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from pipeline.errors import StoreError
 from pipeline.store.blobs import Blobs
 from pipeline.store.catalog import Catalog
+from pipeline.store.erasures import refuse_forgotten
 from pipeline.store.folder import inside
 from pipeline.store.rows import insert, require
 from schemas.conversion import Conversion, Ingestion, RawLog
@@ -34,6 +35,7 @@ def add_conversion(catalog: Catalog, blobs: Blobs, conversion: Conversion) -> No
         if db.execute("SELECT 1 FROM raw_log WHERE id = ?", (conversion.log,)).fetchone() is None:
             raise StoreError(f"log {conversion.log[:12]} is not in the store", where=f"conversion {conversion.id}",
                              mend="store the log first")
+        refuse_forgotten(db, "log", [conversion.log])
         blobs.settle(sorted(conversion.files.values()))
         insert(db, "conversion", conversion, ("id",),
                {"id": conversion.id, "log": conversion.log, "state": conversion.state})
@@ -43,6 +45,7 @@ def add_ingestion(catalog: Catalog, ingestion: Ingestion, episodes: Sequence[Epi
     """Note what a map says about a conversion, and the episodes that follow; an equal one changes nothing."""
     with catalog.write() as db:
         require(db, "conversion", ingestion.conversion, f"ingestion {ingestion.id}")
+        refuse_forgotten(db, "conversion", [ingestion.conversion])
         insert(db, "ingestion", ingestion, ("id",), {"id": ingestion.id, "conversion": ingestion.conversion})
         for e in episodes:
             insert(db, "episode", e, ("id",), {

@@ -16,6 +16,7 @@ from pipeline.store.blobs import Blobs
 from pipeline.store.catalog import Catalog
 from pipeline.store.checks import add_check
 from pipeline.store.consents import add_consent, revoke_consent
+from pipeline.store.erasure_plan import refuse_other_plan
 from pipeline.store.folder import (
     RESERVE_MB,
     FaultPoint,
@@ -191,6 +192,7 @@ class Store(Reader):
         """Write down what will be forgotten; from now on none of it comes back, and no loop starts before the end."""
         with self._catalog.write() as db:
             leases.renew(db, lease)
+            refuse_other_plan(self, erasure)
             erasures.order(db, erasure)
 
     def strike(self, lease: Lease, erasure: Erasure, shards: Mapping[str, str],

@@ -10,6 +10,7 @@ from pydantic import JsonValue
 from pipeline.errors import StoreError
 from pipeline.files import sync_folder
 from pipeline.store.blobs import Blobs
+from pipeline.store.erasures import refuse_forgotten
 from pipeline.store.folder import FaultPoint, check_id, check_name, inside, shas_in
 from pipeline.store.records import RunInfo, StepManifest
 from pipeline.store.rows import Cell, insert, require
@@ -58,6 +59,7 @@ class Transaction:
     def add_episodes(self, episodes: Iterable[Episode]) -> None:
         """Add attempts; parents may come in the same call, in any order; blobs must be in the store."""
         batch = list(episodes)
+        refuse_forgotten(self._db, "episode", (e.id for e in batch))
         for e in batch:
             if e.policy:
                 self._require("policy", e.policy, f"episode {e.id}")
