@@ -11,19 +11,20 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import get_args
 
-from pipeline import arrow, frames, shards, trace
 from pipeline.check.door import NO_VERDICTS, Verdicts
 from pipeline.consent import NO_CONSENTS, Consents, needs
 from pipeline.errors import ConfigError, DatasetError
 from pipeline.files import short_id, source_hash
+from pipeline.footage import FootageOf
 from pipeline.frames import FEATURES, Features, Table
-from pipeline.lerobot_view import exact, layout, manifest, sealing, sharing, split, tables, writer
+from pipeline.lerobot_view import manifest, split, writer
 from pipeline.lerobot_view.agreement import features_in, refuse_others
+from pipeline.lerobot_view.filmed import Filmed, once, skews, with_skews
 from pipeline.lerobot_view.manifest import load_version
 from pipeline.lerobot_view.tables import Row
 from schemas.dataset import DatasetVersion
 from schemas.episode import VARIANTS, Episode, Origin
-from schemas.recipe import Recipe
+from schemas.recipe import CameraConfig, Recipe
 
 __all__ = ["build", "code_hash", "load_version"]
 
@@ -35,6 +36,15 @@ READING = tuple(f"pipeline/recording/{name}.py" for name in (
 """What reads frames from a recording. Whatever else lies beside it, the recorder of live robots for one, turns
 no recording into other bytes of a version, and must not change the ids of versions."""
 
+GROUND = tuple(f"pipeline/{name}.py" for name in ("arrow", "footage", "frames", "shards", "trace"))
+VIEW = tuple(f"pipeline/lerobot_view/{name}.py" for name in (
+    "clips", "exact", "filmed", "layout", "manifest", "pixels", "sealing", "sharing", "split", "tables", "video",
+    "writer"))
+"""What lays frames and pictures into a version."""
+
+FILMS = ("pipeline/recording/camera.py", "pipeline/logs/footage.py")
+"""What reads pictures from a recording or an ingested log."""
+
 FOLDER = "versions"
 """Where versions lie, relative to the store's root."""
 
@@ -44,7 +54,7 @@ NOTHING: Mapping[str, object] = MappingProxyType({})
 def build(episodes: Sequence[Episode], frames_of: Callable[[Episode], Table] | Mapping[str, Table], recipe: Recipe,
           *, store: Path, task: str | Mapping[str, str], generation: int, parent: DatasetVersion | None = None,
           consents: Consents = NO_CONSENTS, verdicts: Verdicts = NO_VERDICTS, features: Features = FEATURES,
-          notes: Mapping[str, object] = NOTHING) -> DatasetVersion:
+          footage: FootageOf | None = None, notes: Mapping[str, object] = NOTHING) -> DatasetVersion:
     """Make the dataset version that the recipe asks for, or return it if it is already there.
 
     Args:
@@ -57,6 +67,8 @@ def build(episodes: Sequence[Episode], frames_of: Callable[[Episode], Table] | M
         parent: the version this one grows from.
         consents, verdicts: who agrees at this moment, and what the checks found; who or what does not is refused.
         features: of the robot; every episode and the parent must have these.
+        footage: gives what a camera saw in an episode, for the cameras of the recipe; videos that were encoded once
+            are found again below the store.
         notes: what else the manifest shall say.
 
     Raises:
@@ -64,36 +76,42 @@ def build(episodes: Sequence[Episode], frames_of: Callable[[Episode], Table] | M
         DatasetError: nothing is left after the filter, an episode failed its check, has no recording or not the
             frames or features that it should, or the parent's folder is damaged.
         RecordingError: a frame that is not finite or has a wrong shape; names the episode.
-        ConfigError: weights that do not fit the groups of episodes.
+        ConfigError: weights that do not fit the groups of episodes, or cameras that nothing was handed over for.
     """
     chosen = _in_order(_filtered(episodes, recipe), parent)
     consents.check(chosen, episodes)
     verdicts.check(chosen, episodes)
     code = code_hash()
-    other = () if features is FEATURES else (_text(features), _text(notes))
+    films = _films(recipe, footage)
+    other = () if features is FEATURES and films is None else (_text(features), _text(notes))
     version = short_id(
         "dataset version", recipe.dataset.model_dump_json(), recipe.augment.keep_rejected, _text(task), generation,
         parent.id if parent else "", code, *other, *(e.model_dump_json() for e in chosen))
     facts = {"id": version, "generation": generation, "parent": parent.id if parent else None, "code": code}
     if not (target := store / FOLDER / version).exists():
-        _write(target, chosen, episodes, recipe, task, parent, _getter(frames_of), features, facts, notes)
+        _write(target, chosen, episodes, recipe, task, parent, _getter(frames_of), features, facts, notes, films)
     return load_version(target)
 
 
 def _write(target: Path, chosen: Sequence[Episode], everything: Sequence[Episode], recipe: Recipe,
            task: str | Mapping[str, str], parent: DatasetVersion | None, frames_of: Callable[[Episode], Table],
-           features: Features, facts: Mapping[str, object], notes: Mapping[str, object]) -> None:
+           features: Features, facts: Mapping[str, object], notes: Mapping[str, object],
+           films: FootageOf | None) -> None:
     """Decide split and weights, then write the folder."""
     store = target.parents[1]
     fps, robot = _common(chosen)
     decided = split.Decided() if parent is None else _parent_decisions(store, parent)
     rows, held, weights = _rows(chosen, everything, recipe, task, decided)
-    reuse = None
-    if parent is not None and parent.code == facts["code"]:
+    cameras, reuse, source = recipe.dataset.cameras, None, None
+    if films is not None:
+        features, frames_of = skews(features, cameras), with_skews(frames_of, cameras, films)
+    if parent is not None and parent.code == facts["code"] and _cameras_of(store / parent.path) == cameras:
         reuse = _same_features(store / parent.path, features, robot)
+    if films is not None:
+        source = Filmed(cameras, films, store, fps, reuse)
     content = {**_content({**facts, "weights": weights}, rows, held, recipe, task, decided), **notes}
     writer.write_version(target, rows, frames_of, content, aside=store / "tmp", fps=fps, robot=robot, parent=reuse,
-                         of=features)
+                         of=features, films=source)
 
 
 def _content(facts: Mapping[str, object], rows: Sequence[Row], held: frozenset[str], recipe: Recipe,
@@ -116,9 +134,23 @@ def _content(facts: Mapping[str, object], rows: Sequence[Row], held: frozenset[s
 def code_hash() -> str:
     """Hash of every source file that decides which bytes a recording becomes."""
     here = Path(__file__)
-    files = [Path(m.__file__ or "") for m in (arrow, frames, shards, trace, exact, layout, manifest, sealing, sharing,
-                                              split, tables, writer)]
-    return source_hash([here, *files, *(here.parents[1] / name for name in READING)])
+    return source_hash([here, *(here.parents[1] / name for name in (*GROUND, *VIEW, *FILMS, *READING))])
+
+
+def _films(recipe: Recipe, footage: FootageOf | None) -> FootageOf | None:
+    """What gives the pictures, each asked for once; None where no camera is wanted."""
+    if not recipe.dataset.cameras:
+        return None
+    if footage is None:
+        raise ConfigError(f"no pictures of camera {next(iter(recipe.dataset.cameras))!r} were handed over",
+                          where=f"recipe {recipe.name}: dataset.cameras",
+                          mend="leave dataset.cameras out of the recipe")
+    return once(footage)
+
+
+def _cameras_of(folder: Path) -> Mapping[str, CameraConfig]:
+    said = manifest.read_manifest(folder)["recipe"]["dataset"].get("cameras", {})
+    return {name: CameraConfig.model_validate(camera) for name, camera in said.items()}
 
 
 def _same_features(parent: Path, features: Features, robot: str) -> Path:

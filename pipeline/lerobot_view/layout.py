@@ -3,10 +3,13 @@
 Source: lerobot 0.6.1, lerobot/datasets/utils.py (DatasetInfo, path patterns) and dataset_metadata.py.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 
+from pipeline.footage import FEATURE
 from pipeline.frames import FEATURES, Features
+from pipeline.lerobot_view import video
 
 INFO = "meta/info.json"
 STATS = "meta/stats.json"
@@ -15,9 +18,17 @@ EPISODES = "meta/episodes/chunk-000/file-000.parquet"
 MANIFEST = "meta/hardcase.json"
 """Ours: lerobot logs a warning about every key of info.json that it does not know."""
 
+PICTURES = "meta/pictures.parquet"
+"""Ours: what each video was made from, and the pixel counts that exact statistics are added up from."""
+
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 FILES_PER_CHUNK = 1000
 DATA_FILE_MB = 100
+
+type Sizes = Mapping[str, tuple[int, int]]
+"""Camera -> height and width of its pictures [px]."""
+NO_CAMERAS: Sizes = MappingProxyType({})
 
 INTERVENTION = "intervention"
 """Whether a person or their stand-in commanded the frame after a policy had begun the episode."""
@@ -28,11 +39,14 @@ BOOKKEEPING = {
 """Columns that every LeRobot dataset has, one value a frame."""
 
 
-def features(of: Features = FEATURES) -> dict[str, dict[str, object]]:
-    """Feature name -> dtype, shape and value names, in the column order of the data files."""
+def features(of: Features = FEATURES, cameras: Sizes = NO_CAMERAS, fps: int = 0) -> dict[str, dict[str, object]]:
+    """Feature name -> dtype, shape and value names, in the column order of the data files; videos have no column."""
     declared: dict[str, dict[str, object]] = {
         name: {"dtype": "float32", "shape": [len(names)], "names": list(names)} for name, names in of.items()
     }
+    for camera, (height, width) in cameras.items():
+        declared[FEATURE + camera] = {"dtype": "video", "shape": [height, width, 3],
+                                      "names": ["height", "width", "channels"], "info": video.about(height, width, fps)}
     declared[INTERVENTION] = {"dtype": "int64", "shape": [1], "names": None}
     declared |= {name: {"dtype": dtype, "shape": [1], "names": None} for name, dtype in BOOKKEEPING.items()}
     return declared
@@ -50,7 +64,8 @@ def frame_bytes(of: Features = FEATURES) -> int:
     return sum(len(names) for names in of.values()) * 4 + 8 + 4 + 4 * 8
 
 
-def info(*, robot: str, fps: int, episodes: int, frames: int, tasks: int, of: Features = FEATURES) -> dict[str, object]:
+def info(*, robot: str, fps: int, episodes: int, frames: int, tasks: int, of: Features = FEATURES,
+         cameras: Sizes = NO_CAMERAS) -> dict[str, object]:
     """The content of info.json.
 
     The one split, train, spans every episode, because a LeRobot split must be a contiguous range and
@@ -59,7 +74,7 @@ def info(*, robot: str, fps: int, episodes: int, frames: int, tasks: int, of: Fe
     return {
         "codebase_version": "v3.0",
         "fps": fps,
-        "features": features(of),
+        "features": features(of, cameras, fps),
         "total_episodes": episodes,
         "total_frames": frames,
         "total_tasks": tasks,
@@ -67,7 +82,7 @@ def info(*, robot: str, fps: int, episodes: int, frames: int, tasks: int, of: Fe
         "data_files_size_in_mb": DATA_FILE_MB,
         "video_files_size_in_mb": 200,
         "data_path": DATA_PATH,
-        "video_path": None,
+        "video_path": VIDEO_PATH if cameras else None,
         "robot_type": robot,
         "splits": {"train": f"0:{episodes}"},
     }
@@ -87,6 +102,12 @@ def data_file(number: int) -> str:
     """Relative path of data file 0, 1, 2, ... of a version."""
     chunk, file = chunk_and_file(number)
     return DATA_PATH.format(chunk_index=chunk, file_index=file)
+
+
+def video_file(camera: str, number: int) -> str:
+    """Relative path of the video of episode 0, 1, 2, ... of a version."""
+    chunk, file = chunk_and_file(number)
+    return VIDEO_PATH.format(video_key=FEATURE + camera, chunk_index=chunk, file_index=file)
 
 
 def files_in(folder: Path) -> Iterable[Path]:

@@ -7,9 +7,10 @@ import numpy as np
 
 from pipeline.errors import DatasetError
 from pipeline.frames import FEATURES, Features, Table
-from pipeline.lerobot_view import layout
+from pipeline.lerobot_view import filmed, layout
 from pipeline.lerobot_view.agreement import refuse_others
 from pipeline.lerobot_view.exact import as_matrix, by_feature, measure
+from pipeline.lerobot_view.filmed import NO_CLIPS, ClipSource
 from pipeline.lerobot_view.sealing import building, link, seal, write_json, write_manifest
 from pipeline.lerobot_view.sharing import shared_with
 from pipeline.lerobot_view.tables import Columns, Place, Row, frame_columns, write_episodes, write_frames, write_tasks
@@ -18,9 +19,13 @@ from schemas.episode import Episode
 
 type FramesOf = Callable[[Episode], Table]
 
+PART = "video.part"
+"""A video that is being encoded, in the folder that is being built."""
+
 
 def write_version(target: Path, rows: Sequence[Row], frames_of: FramesOf, manifest: Mapping[str, object], *,
-                  aside: Path, fps: int, robot: str, parent: Path | None = None, of: Features = FEATURES) -> None:
+                  aside: Path, fps: int, robot: str, parent: Path | None = None, of: Features = FEATURES,
+                  films: ClipSource | None = None) -> None:
     """Write one LeRobot v3.0 folder that never changes again.
 
     Whoever looks at `target` sees nothing or all of it; see pipeline.lerobot_view.sealing.
@@ -35,19 +40,21 @@ def write_version(target: Path, rows: Sequence[Row], frames_of: FramesOf, manife
         robot: name of the robot.
         parent: folder of a version whose data files may be shared; it has the same features.
         of: the features of the robot, which every episode must have.
+        films: gives the videos of its cameras, if it has any.
 
     Raises:
-        RecordingError, DatasetError: frames that cannot be trained on; the error names the episode.
+        RecordingError, DatasetError: frames or pictures that cannot be trained on; the error names the episode.
         DatasetError: the disk is full or read-only; nothing is left behind.
     """
     with building(target, aside) as folder:
-        _fill(folder, rows, frames_of, of, fps=fps, robot=robot, parent=parent)
-        write_manifest(folder, manifest, {})
-        seal(folder)
+        videos = _fill(folder, rows, frames_of, of, fps=fps, robot=robot, parent=parent, films=films)
+        write_manifest(folder, manifest, videos)
+        seal(folder, videos)
 
 
 def _fill(folder: Path, rows: Sequence[Row], frames_of: FramesOf, of: Features, *, fps: int, robot: str,
-          parent: Path | None) -> None:
+          parent: Path | None, films: ClipSource | None) -> dict[str, str]:
+    """Write everything but the manifest; returns the digests of the videos, which were on the disk before."""
     shared = shared_with(parent, rows, of)
     if parent is not None:
         for file in shared.files:
@@ -65,11 +72,29 @@ def _fill(folder: Path, rows: Sequence[Row], frames_of: FramesOf, of: Features, 
         columns = {name: np.concatenate([columns[name], fresh[name]]) if places else fresh[name] for name in fresh}
         places += added
     total = places[-1].stop
+    clips = films.clips(rows, len(shared.places), folder / PART) if films is not None else NO_CLIPS
+    size = filmed.sizes(clips, rows)
     write_tasks(folder / layout.TASKS, tasks)
-    write_episodes(folder / layout.EPISODES, rows, places, np.concatenate(measures), of)
-    write_json(folder / layout.STATS, by_feature(measure(as_matrix(columns)), total, of))
+    write_episodes(folder / layout.EPISODES, rows, places, np.concatenate(measures), of,
+                   filmed.episode_columns(clips, fps))
+    write_json(folder / layout.STATS, {**by_feature(measure(as_matrix(columns)), total, of),
+                                       **filmed.statistics(clips, total)})
     write_json(folder / layout.INFO, layout.info(robot=robot, fps=fps, episodes=len(rows), frames=total,
-                                                 tasks=len(tasks), of=of))
+                                                 tasks=len(tasks), of=of, cameras=size))
+    return link_videos(folder, clips, rows)
+
+
+def link_videos(folder: Path, clips: filmed.ByCamera, rows: Sequence[Row]) -> dict[str, str]:
+    """Give every clip its place in a version, and write down what each was made from; returns their digests."""
+    videos: dict[str, str] = {}
+    for camera, many in clips.items():
+        for number, clip in enumerate(many):
+            name = layout.video_file(camera, number)
+            link(clip.file, folder / name)
+            videos[name] = clip.sha256
+    if clips:
+        filmed.write_clips(folder / layout.PICTURES, clips, rows)
+    return videos
 
 
 def _write_files(folder: Path, columns: Columns, lengths: Sequence[int], before: Sequence[Place],

@@ -1,11 +1,13 @@
 """Episodes of a tiny robot that never ran: legal records with arrays that differ in every value."""
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+from pipeline.errors import DatasetError
 from pipeline.frames import FEATURES, Frames
 from schemas.episode import Episode, Outcome, Segment
 from schemas.recipe import Recipe
@@ -40,6 +42,45 @@ def make_episode(name: str, origin: str = "scripted", *, length: int = 12, paren
 
 def frames_of(episode: Episode) -> Frames:
     return make_frames(int(episode.id, 16), episode.frames)
+
+
+class DrawnFootage:
+    """What a made-up camera saw: a smooth picture that wanders, 64x48 unless the camera's name says otherwise."""
+
+    def __init__(self, episode: Episode, camera: str) -> None:
+        if camera == "gone":
+            raise DatasetError("the recording has no picture of camera 'gone'", where=f"episode {episode.id}",
+                               mend="leave the episode out")
+        self._seed, self._camera = int(episode.id, 16), camera
+        numbers = np.arange(3 if camera == "short" and episode.frames == 5 else episode.frames)
+        self.uses = numbers // 3 * 3 if camera == "late" else numbers
+        self.skew_s = ((numbers - self.uses) / 20).astype(np.float32)
+        if camera == "short":
+            self.skew_s = np.zeros(episode.frames, np.float32)
+        self.source, self.repeated = f"{episode.blob} {camera}", int((np.diff(self.uses) == 0).sum())
+        self._small = camera == "mixed" and episode.frames > 5
+
+    def pictures(self) -> Iterator[NDArray[np.uint8]]:
+        return (self._picture(k) for k in self.uses.tolist())
+
+    def _picture(self, k: int) -> NDArray[np.uint8]:
+        height, width = {"turned": (64, 48) if k == 2 else (48, 64), "odd": (49, 65)}.get(self._camera, (48, 64))
+        if self._small:
+            height, width = 32, 32
+        y, x = np.mgrid[:height, :width]
+        shift = self._seed % 97 + 3 * k + len(self._camera)
+        waves = np.stack([x * 3 + shift, y * 4 + 2 * shift, x + y + shift], -1)
+        return np.abs(waves % 400 - 200).astype(np.uint8)
+
+
+def footage_of(episode: Episode, camera: str) -> DrawnFootage:
+    return DrawnFootage(episode, camera)
+
+
+@pytest.fixture
+def footage() -> Callable[[Episode, str], DrawnFootage]:
+    """Gives what a camera saw in an episode made here; see DrawnFootage."""
+    return footage_of
 
 
 @pytest.fixture
