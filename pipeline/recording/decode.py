@@ -31,6 +31,11 @@ class Decoder:
     def __init__(self, topics: Mapping[str, Series], episode: Episode, m: int, where: Path) -> None:
         self._topics, self._episode, self._m, self._where = topics, episode, m, where
 
+    @property
+    def topics(self) -> Mapping[str, Series]:
+        """The topics that were read, with stamps and payloads, for those who need more than a dataset or a trace."""
+        return self._topics
+
     def features(self) -> dict[str, Rows]:
         """observation.state, observation.environment_state, action, action.joint, and velocity and effort, float64."""
         state, velocity, effort = self._measured()
