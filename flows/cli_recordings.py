@@ -5,16 +5,21 @@ from typing import Annotated
 
 import typer
 
+from flows.cli_browse import browse
 from flows.cli_consent import consent
 from flows.cli_ingest import ingest
+from flows.cli_lineage import forget, why
 from flows.cli_selftest import selftest
 from flows.cli_teleop import teleop
 
 commands = typer.Typer()
 
 commands.add_typer(consent, name="consent")
+commands.command()(browse)
 commands.command()(teleop)
 commands.command()(ingest)
+commands.command()(why)
+commands.command()(forget)
 commands.command()(selftest)
 
 

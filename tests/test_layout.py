@@ -21,11 +21,11 @@ OWNERS = {
     "lerobot": ("pipeline/lerobot_view/", "pipeline/policies/", "pipeline/robots/"),
     "draccus": ("pipeline/robots/plugins.py",),
     "pygame": ("pipeline/robots/gamepad.py",),
-    "rerun": (),
+    "rerun": ("pipeline/browsing/",),
 }
-"""Package -> where it may be imported; rerun belongs to the page for browsing, which is not there yet."""
+"""Package -> where it may be imported."""
 
-LATE = {"torch", "lerobot", "prefect", "mujoco"}
+LATE = {"torch", "lerobot", "prefect", "mujoco", "rerun"}
 """Never loaded by importing the light parts."""
 
 LIGHT = ("schemas/", "pipeline/store/", "pipeline/recording/", "flows/cli.py")

@@ -75,7 +75,7 @@ def of_table(episode: Episode, table: Table) -> Shown:
 
 def segments(episode: Episode) -> dict[str, dict[int, str]]:
     """The lane of who commanded when."""
-    return {"commanded by": {s.start: f"{s.kind} ({s.actor})" for s in episode.segments}}
+    return {"who": {s.start: f"{s.kind} ({s.actor})" for s in episode.segments}}
 
 
 def about(episode: Episode) -> str:
@@ -89,7 +89,7 @@ def about(episode: Episode) -> str:
         "made by": episode.transform, "frames": f"{episode.frames} at {episode.control_hz:g} Hz",
         "drawn physics": ", ".join(f"{d.name} {d.value:.3g} {d.unit}" for d in scene.draws), "consent": episode.consent,
     }
-    return "\n".join([f"# Episode {episode.id}", "", "| | |", "|---|---|",
+    return "\n".join([f"### {episode.origin} episode {episode.id}", "", "| | |", "|---|---|",
                       *(f"| {name} | {_cell(value)} |" for name, value in rows.items() if value)])
 
 

@@ -53,11 +53,12 @@ def beside(outlines: Mapping[str, Outline]) -> rrb.Blueprint:
 
 
 def _time() -> rrb.TimePanel:
-    return rrb.TimePanel(state="collapsed", timeline=TIME, play_state="playing", loop_mode="all")
+    # paused: where a browser draws in software, playing on takes all of a core
+    return rrb.TimePanel(state="collapsed", timeline=TIME, play_state="paused", loop_mode="all")
 
 
 def _scene(prefix: str, name: str) -> rrb.Spatial3DView:
-    eye = rrb.EyeControls3D(position=(0.95, -0.75, 0.62), look_target=(0.2, 0.0, 0.14), eye_up=(0.0, 0.0, 1.0))
+    eye = rrb.EyeControls3D(position=(0.78, -0.62, 0.52), look_target=(0.17, 0.0, 0.16), eye_up=(0.0, 0.0, 1.0))
     return rrb.Spatial3DView(origin=f"{prefix}/world", name=name, eye_controls=eye,
                              line_grid=rrb.LineGrid3D(visible=False), background=[24, 27, 34])
 

@@ -1,6 +1,7 @@
 """The viewer out of the installed wheel and the catalog behind one address of this machine, for any browser."""
 
 import http.client
+import os
 import re
 import subprocess
 import threading
@@ -22,6 +23,7 @@ POLICY = ("default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' b
           " img-src 'self' data: blob:; worker-src 'self' blob:; connect-src 'self' data: blob:; frame-ancestors 'self'")
 """Nothing is fetched from, or sent to, anywhere else."""
 _HOSTED = re.compile(rb"Hosting a web-viewer at http://127\.0\.0\.1:(\d+)")
+_ELSEWHERE = re.compile(rb"<link[^>]*https?://[^>]*>")
 _HOP = frozenset({"connection", "keep-alive", "transfer-encoding", "te", "trailer", "upgrade", "host",
                   "proxy-connection", "accept-encoding"})
 _START_S = 30.0
@@ -37,6 +39,11 @@ def viewer_binary() -> Path:
     return Path(spec.submodule_search_locations[0]) / "rerun"
 
 
+def quiet() -> dict[str, str]:
+    """This environment for Rerun's own programs; where CI is set they send no statistics of use."""
+    return {**os.environ, "CI": "true"}
+
+
 def viewer_pages() -> dict[str, bytes]:
     """File -> content of the web viewer, taken from the installed binary, which gives it out over HTTP only.
 
@@ -44,7 +51,8 @@ def viewer_pages() -> dict[str, bytes]:
         ConfigError: the binary does not start.
     """
     command = [str(viewer_binary()), "--serve-web", "--bind", LOCAL, "--port", "auto", "--web-viewer-port", "0"]
-    child = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+    child = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+                             env=quiet())
     giving_up = threading.Timer(_START_S, child.kill)
     giving_up.start()
     try:
@@ -53,7 +61,8 @@ def viewer_pages() -> dict[str, bytes]:
         for line in child.stdout:
             said.append(line)
             if found := _HOSTED.search(line):
-                return {name: _get(int(found[1]), name) for name in PAGES}
+                pages = {name: _get(int(found[1]), name) for name in PAGES}
+                return pages | {"index.html": _ELSEWHERE.sub(b"", pages["index.html"])}
         last = said[-1].decode(errors="replace").strip() if said else "nothing"
         raise ConfigError(f"the Rerun viewer does not start: {last[-200:]}", where=command[0],
                           mend="install it again: uv sync --reinstall-package rerun-sdk")
@@ -184,3 +193,24 @@ def _get(port: int, name: str) -> bytes:
         return connection.getresponse().read()
     finally:
         connection.close()
+
+
+@contextmanager
+def native_viewer(start: str) -> Generator["subprocess.Popen[bytes]"]:
+    """The viewer in a window of this machine's display, gone when the body ends.
+
+    Args:
+        start: what is opened first, an address within a catalog.
+    """
+    command = [str(viewer_binary()), start, "--bind", LOCAL, "--port", "auto", "--hide-welcome-screen"]
+    child = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                             env=quiet())
+    try:
+        yield child
+    finally:
+        child.terminate()
+        try:
+            child.wait(5)
+        except subprocess.TimeoutExpired:
+            child.kill()
+            child.wait()

@@ -17,6 +17,8 @@ GRACE_S = 3600.0
 """Age below which nothing is garbage [s]: a running step writes files before the row that mentions them."""
 
 FOLDERS = ("versions", "policies", "releases")
+BROWSE = "browse"
+"""Recordings for browsing, made again when they are asked for; see pipeline.browsing.cache."""
 TABLES = ("run", "invocation", "step", "policy", "episode", "version", "verdict", "release", "hard_case",
           "raw_log", "conversion", "ingestion")  # not `erasure`: what it names is to go
 
@@ -116,6 +118,8 @@ def _candidates(store: Store, blobs: set[str], folders: set[str]) -> Iterator[Pi
                 yield from _leftovers(Path(entry.path))
     for entry in _entries(store.root / "tmp"):
         yield _piece(entry.path, "temporary")
+    for entry in _entries(store.root / BROWSE):
+        yield _piece(entry.path, "temporary" if _TEMPORARY.fullmatch(entry.name) else "browsing")
     for entry in _entries(store.root):
         if _TEMPORARY.fullmatch(entry.name):
             yield _piece(entry.path, "temporary")
