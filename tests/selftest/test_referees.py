@@ -11,7 +11,7 @@ from rosbags.highlevel import AnyReader
 from pipeline.selftest.log import Log
 from pipeline.selftest.referees import REFEREES, Expected, tracecheck_contract
 
-pytestmark = pytest.mark.xdist_group("selftest")  # one worker makes the material
+pytestmark = [pytest.mark.xdist_group("selftest"), pytest.mark.timeout(900)]  # one worker makes the material, once
 
 KINDS = ("demonstrated", "deployed", "corrected", "filmed")
 CAMERA = "/camera/front/image/compressed"

@@ -14,7 +14,7 @@ from pipeline.selftest.material import Material
 from pipeline.selftest.table import FAULTS
 from schemas.contract import Contract
 
-pytestmark = pytest.mark.xdist_group("selftest")  # one worker makes the material
+pytestmark = [pytest.mark.xdist_group("selftest"), pytest.mark.timeout(900)]  # one worker makes the material, once
 
 ROOT = Path(__file__).parents[2]
 
