@@ -95,9 +95,9 @@ def _near(store: Reader, ids: list[str]) -> list[str]:
 
 def _same_file(store: Reader, ids: list[str]) -> list[str]:
     """Episodes whose recording is the same file; shards of variants can be written without some of them."""
-    return _column(store, "SELECT id FROM episode WHERE origin NOT IN (SELECT value FROM json_each(?2)) AND blob IN"
-                          " (SELECT blob FROM episode WHERE id IN (SELECT value FROM json_each(?1)))",
-                   ids, dumps(VARIANTS))
+    return _column(store, "SELECT id FROM episode WHERE blob IN"
+                          " (SELECT blob FROM episode WHERE id IN (SELECT value FROM json_each(?)))"
+                          " AND origin NOT IN (SELECT value FROM json_each(?))", ids, dumps(VARIANTS))
 
 
 def _same_log(store: Reader, ids: list[str]) -> list[str]:
@@ -123,8 +123,8 @@ def _files(store: Reader, episodes: list[str], logs: list[str], conversions: lis
     """Blobs that go whole, and shards that keep variants of others."""
     held = _column(store, "SELECT DISTINCT blob FROM episode WHERE blob NOT NULL"
                           " AND id IN (SELECT value FROM json_each(?))", episodes)
-    shards = _column(store, "SELECT DISTINCT blob FROM episode WHERE blob IN (SELECT value FROM json_each(?1))"
-                            " AND id NOT IN (SELECT value FROM json_each(?2))", held, dumps(episodes))
+    shards = _column(store, "SELECT DISTINCT blob FROM episode WHERE blob IN (SELECT value FROM json_each(?))"
+                            " AND id NOT IN (SELECT value FROM json_each(?))", held, dumps(episodes))
     made = _column(store, "SELECT DISTINCT value FROM conversion, json_each(conversion.json, '$.files')"
                           " WHERE id IN (SELECT value FROM json_each(?))", conversions)
     others = _column(store, "SELECT DISTINCT value FROM conversion, json_each(conversion.json, '$.files')"

@@ -50,6 +50,15 @@ def foreign(store: Reader, episodes: Iterable[Episode], full: bool) -> dict[str,
     return {name: some(list(dict.fromkeys(lines)), full) for name, lines in told.items()}
 
 
+def lost(store: Reader, version: str, name: str) -> dict[str, str]:
+    """Episodes that a version held until they were forgotten."""
+    gone = store.erased_in(version)
+    if not gone:
+        return {}
+    why = list(dict.fromkeys(f"{e.at.date()}: {e.reason}" for e in gone.values()))
+    return {name: f"erased {len(gone)} episodes ({'; '.join(why)}): {some(list(gone), full=False)}"}
+
+
 def codes(store: Reader, ids: list[str]) -> str:
     """Code hashes of the steps that added some episodes, by stage and generation."""
     rows = store.query(

@@ -1,63 +1,72 @@
 """Why a thing is as it is: from any id back to recordings, draws, seeds, code and config, and forward to its users."""
 
+import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from types import MappingProxyType
-from typing import Literal
-
-from pydantic import Field
 
 from pipeline.files import sha256
-from pipeline.store.facts import checked, codes, draw_ranges, foreign, made, outcome, releases, some, unit_of, users
+from pipeline.store.facts import (
+    checked,
+    codes,
+    draw_ranges,
+    foreign,
+    lost,
+    made,
+    outcome,
+    releases,
+    some,
+    unit_of,
+    users,
+)
+from pipeline.store.graph import graph_of, in_order
+from pipeline.store.origins import tell_check, tell_consent, tell_conversion, tell_erased
 from pipeline.store.reader import Reader
 from pipeline.store.records import RunInfo
-from schemas.base import Frozen
+from pipeline.store.tree import Lineage, Used, render, to_json
 from schemas.episode import Episode
 
-type Kind = Literal["policy", "version", "group", "episode", "verdict", "hard_case", "run", "raw_log", "conversion"]
+__all__ = ["render", "to_json", "why"]
 
-
-class Lineage(Frozen):
-    """A thing, what is known of it, and what it came from (or, for an episode, also who used it)."""
-
-    kind: Kind
-    id: str
-    role: str = ""
-    facts: dict[str, str] = Field({}, description="what is known, in the order of telling")
-    children: tuple["Lineage", ...] = ()
-
-
-def why(store: Reader, id: str, *, full: bool = False) -> Lineage:
-    """The tree of causes of a policy, dataset version, episode, verdict, hard case or run.
+def why(store: Reader, id: str, *, full: bool = False, back: bool = True, forward: bool = True) -> Lineage:
+    """The tree of causes of a thing, and what used it.
 
     Args:
         store: an open store.
-        id: an id, or 8 and more of its first digits.
+        id: an id, or 8 and more of its first digits; see `locate`.
         full: every episode on its own with whole hashes, and whole recipes, instead of groups with counts.
+        back: tell the causes; else only the thing and its users.
+        forward: tell the users.
 
     Raises:
         StoreError: nothing or several things have such an id.
     """
-    table, whole = store.find(id)
-    return TELL[table](store, whole, full)
+    table, whole = locate(store, id)
+    told = TELL[table](store, whole, full)
+    if not back:
+        told = told.model_copy(update={"children": ()})
+    return told.model_copy(update={"used_by": used_by(store, table, whole)}) if forward else told
 
 
-def render(lineage: Lineage) -> str:
-    """The tree as indented text, one fact a line."""
-    return "\n".join(_lines(lineage, ""))
+def used_by(store: Reader, kind: str, id: str) -> tuple[Used, ...]:
+    """Everything that came of a thing, in groups, causes before effects."""
+    graph = graph_of(store, kind, id, back=False)
+    return tuple(Used(kind=n.kind, title=n.title, notes=n.lines, ids=n.ids) for n in in_order(graph) if not n.focus)
 
 
-def to_json(lineage: Lineage) -> str:
-    """The tree as JSON, for programs."""
-    return lineage.model_dump_json(indent=2)
+def locate(store: Reader, id: str) -> tuple[str, str]:
+    """Kind and whole id of what a person names: an id or its beginning, a consent, or the hash of a log or recording.
 
-
-def _lines(node: Lineage, indent: str) -> Iterable[str]:
-    yield f"{indent}{node.role + ': ' if node.role else ''}{node.kind.replace('_', ' ')} {node.id}"
-    for name, value in node.facts.items():
-        yield f"{indent}  {name}: {value}"
-    for child in node.children:
-        yield from _lines(child, indent + "  ")
+    Raises:
+        StoreError: nothing or several things have such an id.
+    """
+    if id in store.consents():
+        return "consent", id
+    if re.fullmatch("[0-9a-f]{64}", id):
+        for table, column in (("raw_log", "id"), ("erased", "id"), ("episode", "blob")):
+            if rows := store.query(f"SELECT id FROM {table} WHERE {column} = ? LIMIT 1", (id,)):
+                return table, str(rows[0][0])
+    return store.find(id[:16] if len(id) == 64 else id)
 
 
 def _policy(store: Reader, id: str, full: bool) -> Lineage:
@@ -66,7 +75,7 @@ def _policy(store: Reader, id: str, full: bool) -> Lineage:
         "kind": p.kind, "generation": str(p.generation), "seed": str(p.seed), "steps": str(p.steps),
         "config": p.config, "training code": p.code, "checkpoint": p.checkpoint,
         "files": some([f"{name} {sha if full else sha[:12]}" for name, sha in sorted(p.files.items())], full),
-        **made(store, "policy", id),
+        **made(store, "policy", id), **lost(store, p.dataset, "saw what was forgotten"),
     }  # fmt: skip
     verdicts = [_verdict_line(store, v.id) for v in store.verdicts(candidate=id)]
     return Lineage(
@@ -89,7 +98,7 @@ def _version(store: Reader, id: str, full: bool, role: str = "") -> Lineage:
         "weights": ", ".join(f"{name} {share:g}" for name, share in v.weights.items()),
         "inputs": some([b if full else b[:12] for b in v.inputs], full),
         "folder": v.path, **made(store, "version", id), **({"parent": v.parent} if v.parent else {}),
-        **checked(store, v.digest),
+        **checked(store, v.digest), **lost(store, id, "incomplete"),
     }  # fmt: skip
     groups = [_group(store, origin, members, full) for origin, members in by_origin.items()]
     return Lineage(kind="version", id=id, role=role, facts=facts, children=tuple(groups))
@@ -227,6 +236,10 @@ TELL: MappingProxyType[str, Callable[[Reader, str, bool], Lineage]] = MappingPro
         "episode": _episode,
         "run": _run,
         "raw_log": _raw_log,
+        "consent": tell_consent,
+        "conversion": tell_conversion,
+        "checked": tell_check,
+        "erased": tell_erased,
     }
 )
 """Table -> how its rows are explained."""

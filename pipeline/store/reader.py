@@ -24,7 +24,8 @@ from schemas.policy import PolicyRecord
 from schemas.release import Release
 from schemas.verdict import Verdict
 
-TABLES = ("policy", "version", "verdict", "hard_case", "episode", "run", "raw_log", "conversion", "checked", "erased")
+TABLES = ("policy", "version", "verdict", "hard_case", "episode", "run", "raw_log", "conversion", "checked",
+          "consent", "erased")
 """Tables whose rows have an id, in the order in which `find` looks."""
 
 _NAMED = {"erased": " AND kind <> 'blob'"}
