@@ -232,20 +232,6 @@ def report(run: Run = None, json: AsJson = False) -> None:
 
 
 @app.command()
-def why(
-    id: Annotated[str, typer.Argument(help="Policy, dataset version, verdict or episode; 8 digits are enough.")],
-    json: AsJson = False,
-) -> None:
-    """Print the chain from a policy back to recordings, draws, seeds, code and config.
-
-    Example: hardcase why 3f9a1c2b
-    """
-    from flows.upkeep import explain_id
-
-    typer.echo(explain_id(id, as_json=json))
-
-
-@app.command()
 def study(
     seeds: Annotated[int, typer.Option(min=1, help="Seeds: twin, data and training together.")] = 8,
     recipe: Recipe = None,

@@ -1,23 +1,10 @@
-"""Looking back and cleaning up: why, gc, recover."""
+"""Cleaning up: gc, recover."""
 
 import json
 from pathlib import Path
 
 from pipeline.errors import RecordingError
 from pipeline.store import Store, store_root
-
-
-def explain_id(id: str, *, as_json: bool) -> str:
-    """The chain behind a policy, dataset version, verdict, hard case, episode or run, as text or JSON.
-
-    Raises:
-        StoreError: nothing or several things have such an id.
-    """
-    from pipeline.store.lineage import render, to_json, why
-
-    with Store.open(store_root()) as store:
-        lineage = why(store, id, full=as_json)
-    return to_json(lineage) if as_json else render(lineage)
 
 
 def sweep(*, delete: bool, as_json: bool) -> str:
