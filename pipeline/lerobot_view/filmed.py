@@ -146,10 +146,9 @@ def episode_columns(clips: ByCamera, fps: int) -> dict[str, Any]:
     return columns
 
 
-def write_clips(path: Path, clips: ByCamera, rows: Sequence[Row]) -> None:
+def write_clips(path: Path, clips: ByCamera, ids: Sequence[str]) -> None:
     """meta/pictures.parquet: a row an episode and camera, the episodes of a camera in their order."""
-    flat = [(row.episode.id, camera, clip) for camera, many in clips.items()
-            for row, clip in zip(rows, many, strict=True)]
+    flat = [(id, camera, clip) for camera, many in clips.items() for id, clip in zip(ids, many, strict=True)]
     numbers = {name: scalars(np.array([getattr(clip, name) for *_, clip in flat]))
                for name in ("height", "width", "frames", "first", "repeated")}
     table = pa.table({

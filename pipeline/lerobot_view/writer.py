@@ -81,10 +81,10 @@ def _fill(folder: Path, rows: Sequence[Row], frames_of: FramesOf, of: Features, 
                                        **filmed.statistics(clips, total)})
     write_json(folder / layout.INFO, layout.info(robot=robot, fps=fps, episodes=len(rows), frames=total,
                                                  tasks=len(tasks), of=of, cameras=size))
-    return link_videos(folder, clips, rows)
+    return link_videos(folder, clips, [row.episode.id for row in rows])
 
 
-def link_videos(folder: Path, clips: filmed.ByCamera, rows: Sequence[Row]) -> dict[str, str]:
+def link_videos(folder: Path, clips: filmed.ByCamera, ids: Sequence[str]) -> dict[str, str]:
     """Give every clip its place in a version, and write down what each was made from; returns their digests."""
     videos: dict[str, str] = {}
     for camera, many in clips.items():
@@ -93,7 +93,7 @@ def link_videos(folder: Path, clips: filmed.ByCamera, rows: Sequence[Row]) -> di
             link(clip.file, folder / name)
             videos[name] = clip.sha256
     if clips:
-        filmed.write_clips(folder / layout.PICTURES, clips, rows)
+        filmed.write_clips(folder / layout.PICTURES, clips, ids)
     return videos
 
 
