@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from pipeline.arrow import pa, read_parquet, to_rows
 from pipeline.consent import NO_CONSENTS, Consents
 from pipeline.errors import DatasetError
-from pipeline.frames import FEATURES
+from pipeline.footage import SKEW
+from pipeline.frames import FEATURES, Features
 from pipeline.lerobot_view.agreement import features_in, refuse_others
 from pipeline.lerobot_view.incomplete import refuse_incomplete
 from pipeline.lerobot_view.layout import EPISODES, INTERVENTION, data_file
@@ -77,13 +78,13 @@ class TrainingData:
         version = load_version(folder)
         refuse_incomplete(version, folder)
         weights = version.weights
-        refuse_others(features_in(folder), FEATURES, robot="arm", where=folder)
+        refuse_others(without_cameras(features_in(folder)), FEATURES, robot="arm", where=folder)
         episodes = read_parquet(folder / EPISODES, ["dataset_from_index", "dataset_to_index", "split", "group",
                                                     "episode_id", "consents"])
-        consents.check_needs(_needed(episodes, folder), folder)
+        consents.check_needs(needs_in(episodes, folder), folder)
         starts, stops = (to_rows(episodes.column(n), 1)[:, 0] for n in ("dataset_from_index", "dataset_to_index"))
         state, environment, action, intervention = _read(folder)
-        teaches, last = _runs(starts, stops, intervention)
+        teaches, last = teaching(starts, stops, intervention)
         lengths = stops - starts
         train = np.repeat(np.array(episodes.column("split").to_pylist()) == "train", lengths)
         group = np.repeat(np.array(episodes.column("group").to_pylist()), lengths)
@@ -125,7 +126,12 @@ class TrainingData:
                      self.action.take(np.minimum(wanted, last), axis=0), wanted <= last)
 
 
-def _needed(episodes: Any, folder: Path) -> dict[str, tuple[str, ...]]:
+def without_cameras(features: Features) -> Features:
+    """Features without the skews of cameras, which a version without them does not have."""
+    return {name: values for name, values in features.items() if not name.startswith(SKEW)}
+
+
+def needs_in(episodes: Any, folder: Path) -> dict[str, tuple[str, ...]]:
     """Episode id -> consent records that it rests on."""
     if "consents" not in episodes.column_names:
         raise DatasetError("the version does not say whose consent it rests on", where=folder,
@@ -145,7 +151,7 @@ def _read(folder: Path) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArr
     return state, environment, action, intervention
 
 
-def _runs(starts: Rows, stops: Rows, intervention: NDArray[np.int64]) -> tuple[NDArray[np.bool_], Rows]:
+def teaching(starts: Rows, stops: Rows, intervention: NDArray[np.int64]) -> tuple[NDArray[np.bool_], Rows]:
     """Whether each frame teaches, and the last row of the run of teaching frames that it stands in."""
     lengths = stops - starts
     commanded = intervention[:, 0] == 1

@@ -68,7 +68,7 @@ class DrawnFootage:
         if self._small:
             height, width = 32, 32
         y, x = np.mgrid[:height, :width]
-        shift = self._seed % 97 + 3 * k + len(self._camera)
+        shift = self._seed % 397 + 3 * k + len(self._camera)
         waves = np.stack([x * 3 + shift, y * 4 + 2 * shift, x + y + shift], -1)
         return np.abs(waves % 400 - 200).astype(np.uint8)
 

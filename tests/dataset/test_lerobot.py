@@ -15,7 +15,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from pipeline.frames import FEATURES
+from pipeline.lerobot_view.samples import Samples
 from pipeline.lerobot_view.training_data import TrainingData
+from schemas.recipe import CameraConfig, DatasetConfig
 from stages.build import build, load_version
 
 pytestmark = pytest.mark.xdist_group("lerobot")
@@ -92,6 +94,71 @@ def test_a_chunk_of_16_actions_is_what_our_loader_gives(opened, versions):
         np.testing.assert_array_equal(theirs["action"].numpy(), mine.actions[0])
         np.testing.assert_array_equal(theirs["action_is_pad"].numpy(), ~mine.mask[0])
         np.testing.assert_array_equal(theirs["observation.state"].numpy(), mine.state[0])
+
+
+@pytest.fixture
+def filmed(episode, frames, footage, recipe, task, tmp_path):
+    """A version with two cameras, one of which repeats pictures; and its folder."""
+    demos = [episode(f"demo {k}", length=6 + k) for k in range(3)]
+    config = DatasetConfig(cameras={"front": CameraConfig(), "late": CameraConfig(width=32, height=16)})
+    with_cameras = recipe.model_copy(update={"dataset": config})
+    version = build(demos, frames, with_cameras, store=tmp_path, task=task, generation=0, footage=footage)
+    return tmp_path / version.path
+
+
+def test_lerobot_gives_the_samples_of_our_loader_pictures_too(opened, filmed):
+    import torch
+    from torch.utils.data import default_collate
+
+    from pipeline.policies.batches import batches, lerobot_batch
+
+    asked = {"action": range(4), "observation.images.front": (-1, 0)}
+    data = opened(filmed, delta_timestamps={name: [k / 20 for k in deltas] for name, deltas in asked.items()})
+    ours, rows = Samples.load(filmed), np.arange(0, len(data), 2)
+    found = ours.gather(rows, asked)
+    mine, theirs = lerobot_batch(found, ours.task_of(found)), default_collate([data[int(k)] for k in rows])
+    assert mine.keys() == theirs.keys()
+    for name, value in theirs.items():
+        if name == "task":
+            assert mine[name] == value
+        else:
+            assert (mine[name].dtype, mine[name].shape) == (value.dtype, value.shape), name
+            assert torch.equal(mine[name], value), name
+    drawn = next(batches(ours, 0, 3, asked, skip=2))
+    assert drawn["observation.images.late"].shape == (3, 3, 16, 32) and drawn.keys() == theirs.keys()
+    assert data.meta.stats["observation.images.front"]["q99"].shape == (3, 1, 1)
+    assert data.meta.camera_keys == ["observation.images.front", "observation.images.late"]
+
+
+def test_lerobots_own_tools_take_a_version_with_cameras(opened, filmed, tmp_path):
+    from lerobot.datasets.dataset_tools import delete_episodes
+
+    less = delete_episodes(opened(filmed), [1], output_dir=tmp_path / "less", repo_id="hardcase/less")
+    assert less.num_episodes == 2
+    assert load_version(filmed).id == filmed.name
+
+
+def test_a_stock_policy_with_a_camera_trains_from_our_batches(opened, filmed):
+    import torch
+    from lerobot.policies.act.configuration_act import ACTConfig
+    from lerobot.policies.factory import make_policy, make_pre_post_processors
+
+    from pipeline.policies.batches import batches
+
+    data, asked = opened(filmed), {"action": range(4)}
+    small = {"dim_model": 16, "n_heads": 2, "dim_feedforward": 16, "n_encoder_layers": 1, "n_vae_encoder_layers": 1,
+             "chunk_size": 4, "n_action_steps": 4, "use_vae": False, "pretrained_backbone_weights": None}
+    policy = make_policy(ACTConfig(device="cpu", push_to_hub=False, **small), ds_meta=data.meta)
+    before, _ = make_pre_post_processors(policy.config, dataset_stats=data.meta.stats)
+    optimiser, losses = torch.optim.AdamW(policy.parameters(), 1e-3), []
+    source = batches(Samples.load(filmed, cameras=["front", "late"]), 0, 4, asked)
+    for _ in range(8):
+        loss, _ = policy.forward(before(next(source)))
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        losses.append(loss.item())
+    assert np.isfinite(losses).all() and np.mean(losses[-3:]) < np.mean(losses[:3])
 
 
 def test_lerobot_can_train_on_the_train_split_alone(opened, versions):
