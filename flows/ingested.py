@@ -81,7 +81,7 @@ def _build(store: Store, name: str, declared: IngestMap, episodes: list[Episode]
     version = build(episodes, frames_of, recipe, store=store.root, task=declared.task, generation=0,
                     consents=consents_now(store), verdicts=verdicts,
                     features=_result(converted[episodes[0].id].conversion).features, notes=notes)
-    store.add_version_of_logs(version)
+    store.add_version(version)
     return version
 
 

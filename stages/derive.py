@@ -82,8 +82,7 @@ def derive(parent: DatasetVersion, edits: Sequence[Edit], *, store: Path,
     if episodes_of is not None and any(not v.passed for v in verdicts.by_subject.values()):
         verdicts.check(*episodes_of(made.ids))
     videos = deriving.clips_of(made)
-    shas = [clip.sha256 for many in videos.values() for clip in many]
-    content = _content(parent, edits, made, {"id": id, "code": code, "path": f"{FOLDER}/{id}"}, shas)
+    content = _content(parent, edits, made, {"id": id, "code": code, "path": f"{FOLDER}/{id}"})
     hashes = deriving.write_derived(target, made, content, aside=store / "tmp", clips=videos)
     return DatasetVersion.model_validate({**content["version"], "digest": digest_of(hashes)})
 
@@ -114,8 +113,7 @@ def _refuse_people(made: Plan, consents: Consents) -> None:
     consents.check_needs(needed, f"a version derived from {made.draft.parent.version.id}")
 
 
-def _content(parent: DatasetVersion, edits: Sequence[Edit], made: Plan, facts: Mapping[str, object],
-             videos: Sequence[str]) -> dict[str, Any]:
+def _content(parent: DatasetVersion, edits: Sequence[Edit], made: Plan, facts: Mapping[str, object]) -> dict[str, Any]:
     """What the manifest says: the parent's words, with what the version is and whose side each lineage is on."""
     before = {key: value for key, value in made.draft.parent.manifest.items() if key != "files"}
     blobs: list[str | None] = made.draft.gathered("blob")
@@ -128,7 +126,7 @@ def _content(parent: DatasetVersion, edits: Sequence[Edit], made: Plan, facts: M
         **facts, "recipe": parent.recipe, "parent": parent.id,
         "generation": max(source.version.generation for source in made.draft.sources), "episodes": made.ids,
         "held_out": [id for id, side in zip(made.ids, made.split, strict=True) if side == "held_out"],
-        "weights": made.weighed.shares, "inputs": list(dict.fromkeys([*filter(None, blobs), *videos])),
+        "weights": made.weighed.shares, "inputs": list(dict.fromkeys(filter(None, blobs))),
         "frames": made.frames, "edits": [e.model_dump(mode="json") for e in edits]}
     return {**before, "version": version, "task": made.tasks[0] if len(made.tasks) == 1 else made.tasks,
             "lineages": {side: sorted(one for one, its in sides.items() if its == side)

@@ -1,16 +1,13 @@
 """Foreign logs in the catalog: what came, what was made of it, and what was said about it. They belong to no run."""
 
-import sqlite3
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 from pipeline.errors import StoreError
 from pipeline.store.blobs import Blobs
 from pipeline.store.catalog import Catalog
 from pipeline.store.erasures import refuse_forgotten
-from pipeline.store.folder import inside
 from pipeline.store.rows import insert, require
 from schemas.conversion import Conversion, Ingestion, RawLog
-from schemas.dataset import DatasetVersion
 from schemas.episode import Episode
 
 INGEST = "ingest "
@@ -53,25 +50,6 @@ def add_ingestion(catalog: Catalog, ingestion: Ingestion, episodes: Sequence[Epi
                 "stratum": e.scene.stratum, "parent": e.parent, "policy": e.policy, "blob": e.blob})
 
 
-def add_version_of_logs(catalog: Catalog, blobs: Blobs, version: DatasetVersion) -> None:
-    """Note a dataset version that was built from ingested episodes alone; its folder lies in the store, sealed.
-
-    Raises:
-        StoreError: an episode is not in the store.
-    """
-    with catalog.write() as db:
-        if not inside(catalog.path.parent, version.path).is_dir():
-            raise StoreError(f"folder {version.path} is not in the store", where=f"version {version.id}",
-                             mend="build it again: hardcase ingest ... --dataset NAME")
-        for episode in version.episodes:
-            require(db, "episode", episode, f"version {version.id}")
-        blobs.settle(version.inputs)
-        insert(db, "version", version, ("id",), {"id": version.id, "parent": version.parent,
-                                                 "generation": version.generation})
-        _link(db, "version_episode", ((version.id, e) for e in version.episodes))
-        _link(db, "version_input", ((version.id, b) for b in version.inputs))
-
-
 def raw_log(catalog: Catalog, id: str) -> RawLog | None:
     """A log by its hash, or None."""
     rows = catalog.rows("SELECT json FROM raw_log WHERE id = ?", (id,))
@@ -96,7 +74,3 @@ def ingestion_of(catalog: Catalog, episode: Episode) -> Ingestion | None:
         return None
     rows = catalog.rows("SELECT json FROM ingestion WHERE id = ?", (episode.transform.removeprefix(INGEST),))
     return Ingestion.model_validate_json(str(rows[0][0])) if rows else None
-
-
-def _link(db: sqlite3.Connection, table: str, pairs: Iterable[tuple[str, str]]) -> None:
-    db.executemany(f"INSERT OR IGNORE INTO {table} VALUES (?, ?)", list(pairs))

@@ -1,6 +1,8 @@
 """Adding one row: new, there already and equal, or refused."""
 
 import sqlite3
+from collections.abc import Iterable
+from json import dumps
 
 from pipeline.errors import StoreError
 from pipeline.store.folder import ELSEWHERE
@@ -19,6 +21,18 @@ def require(db: sqlite3.Connection, table: str, id: str, where: str) -> None:
         raise StoreError(
             f"{table} {id} is not in the store", where=where, mend=f"add the {table} first, or in the same commit"
         )
+
+
+def require_all(db: sqlite3.Connection, table: str, ids: Iterable[str], where: str) -> None:
+    """The same for many rows in one question: a version may have 100,000 episodes.
+
+    Raises:
+        StoreError: one is not there; names the first.
+    """
+    missing = db.execute(f"SELECT value FROM json_each(?) WHERE value NOT IN (SELECT id FROM {table}) ORDER BY key"
+                         " LIMIT 1", (dumps(list(ids)),)).fetchone()
+    if missing is not None:
+        require(db, table, missing[0], where)
 
 
 def insert(db: sqlite3.Connection, table: str, value: Frozen, key: tuple[str, ...], row: dict[str, Cell]) -> None:

@@ -28,11 +28,12 @@ from pipeline.store.folder import (
     refuse_low_space,
     refuse_network,
 )
-from pipeline.store.ingests import add_conversion, add_ingestion, add_raw_log, add_version_of_logs
+from pipeline.store.ingests import add_conversion, add_ingestion, add_raw_log
 from pipeline.store.lease import Lease
 from pipeline.store.process import Holder
 from pipeline.store.reader import Reader
 from pipeline.store.transaction import Transaction
+from pipeline.store.versions import add_version
 from schemas.consent import Consent
 from schemas.conversion import Conversion, Ingestion, RawLog
 from schemas.dataset import DatasetVersion
@@ -184,9 +185,9 @@ class Store(Reader):
         """Note what a map says about a conversion, and the episodes that follow from both."""
         add_ingestion(self._catalog, ingestion, episodes)
 
-    def add_version_of_logs(self, version: DatasetVersion) -> None:
-        """Note a dataset version that was built from ingested episodes alone."""
-        add_version_of_logs(self._catalog, self._blobs, version)
+    def add_version(self, version: DatasetVersion, episodes: Sequence[Episode] = ()) -> None:
+        """Note a dataset version that belongs to no run, and the episodes that came with it; it needs no lease."""
+        add_version(self._catalog, self._blobs, version, episodes)
 
     def order_erasure(self, lease: Lease, erasure: Erasure) -> None:
         """Write down what will be forgotten; from now on none of it comes back, and no loop starts before the end."""

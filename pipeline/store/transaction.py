@@ -13,7 +13,7 @@ from pipeline.store.blobs import Blobs
 from pipeline.store.erasures import refuse_forgotten
 from pipeline.store.folder import FaultPoint, check_id, check_name, inside, shas_in
 from pipeline.store.records import RunInfo, StepManifest
-from pipeline.store.rows import Cell, insert, require
+from pipeline.store.rows import Cell, insert, require, require_all
 from schemas.base import Frozen
 from schemas.dataset import DatasetVersion
 from schemas.episode import Episode
@@ -84,8 +84,7 @@ class Transaction:
         """Add a dataset version whose folder lies in the store already, whole."""
         if version.parent:
             self._require("version", version.parent, f"parent of version {version.id}")
-        for episode in version.episodes:
-            self._require("episode", episode, f"version {version.id}")
+        require_all(self._db, "episode", version.episodes, f"version {version.id}")
         self._insert("version", version, id=version.id, parent=version.parent, generation=version.generation)
         self._db.executemany(
             "INSERT OR IGNORE INTO version_episode VALUES (?, ?)", [(version.id, e) for e in version.episodes]
