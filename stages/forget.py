@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.errors import DatasetError, StoreError
+from pipeline.errors import StoreError
 from pipeline.files import sha256_file, sync_folder
-from pipeline.lerobot_view.erasing import Loss, erase
-from pipeline.lerobot_view.manifest import read_manifest
+from pipeline.lerobot_view.clips import FOLDER as VIDEOS
+from pipeline.lerobot_view.erasing import Loss, erase, holds, lost_videos
 from pipeline.shards import read_shard, write_shard
 from pipeline.store import Lease, Store
 from pipeline.store.caches import lerobot_copies
@@ -87,17 +87,12 @@ def _shards(store: Store, erasure: Erasure, fault: FaultPoint) -> Iterator[tuple
 
 
 def _versions(store: Store, erasure: Erasure, shards: Mapping[str, str], fault: FaultPoint) -> list[DatasetVersion]:
-    """The versions without the episodes, parents first: those that share files share them again."""
-    loss = Loss(frozenset(erasure.episodes), frozenset((*erasure.blobs, *erasure.shards)))
+    """The versions without the episodes."""
+    loss = Loss(frozenset(erasure.episodes), frozenset((*erasure.blobs, *erasure.shards)), shards)
     done: list[DatasetVersion] = []
     for id in erasure.versions:
-        version = store.version(id)
-        kept = [e for e in version.episodes if e not in loss.episodes]
-        known = {e.id: e.model_copy(update={"blob": shards.get(e.blob or "", e.blob)}) for e in store.episodes(kept)}
         fault("write version")
-        parent = store.version(version.parent) if version.parent else None
-        shared = store.path(parent.path) if parent is not None and parent.code == version.code else None
-        done.append(erase(store.path(version.path), loss, known, store.tmp / ASIDE, shared))
+        done.append(erase(store.path(store.version(id).path), loss, store.tmp / ASIDE))
     return done
 
 
@@ -111,6 +106,7 @@ def _copies(store: Store, erasure: Erasure) -> Iterator[Path]:
     for name in LEFT:
         yield from (path for path in _files(store.root / name) if sha256_file(path) in gone)
     yield from (store.root / name for name in CACHES if (store.root / name).exists())
+    yield from lost_videos(store.root / VIDEOS, gone)
     yield from _strays(store, erasure)
     yield from sorted(store.tmp.iterdir())
 
@@ -119,13 +115,7 @@ def _strays(store: Store, erasure: Erasure) -> Iterator[Path]:
     """Version folders without a row, which a killed build left, if they hold the episode or cannot say."""
     rows = {str(id) for (id,) in store.query("SELECT id FROM version")}
     for folder in sorted((store.root / "versions").iterdir()):
-        if folder.name in rows or folder.is_symlink():
-            continue
-        try:
-            held = set(read_manifest(folder)["version"]["episodes"])
-        except (DatasetError, KeyError, TypeError):
-            held = set(erasure.episodes)
-        if held & set(erasure.episodes):
+        if folder.name not in rows and not folder.is_symlink() and holds(folder, erasure.episodes):
             yield folder
 
 

@@ -4,29 +4,27 @@ A version never changes otherwise. Its id stays, because policies were trained o
 """
 
 import json
-import os
 import shutil
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import JsonValue
 
-from pipeline.arrow import read_parquet, to_rows
+from pipeline.arrow import texts
+from pipeline.errors import DatasetError
 from pipeline.files import sync_folder
-from pipeline.frames import Features, FeatureTable
-from pipeline.lerobot_view.agreement import features_in
-from pipeline.lerobot_view.layout import EPISODES, INFO, MANIFEST, data_file, file_number
+from pipeline.lerobot_view.deriving import clips_of, write_derived
+from pipeline.lerobot_view.draft import Draft
 from pipeline.lerobot_view.manifest import load_version, read_manifest
-from pipeline.lerobot_view.split import chances, shares
-from pipeline.lerobot_view.tables import Row
-from pipeline.lerobot_view.writer import write_version
+from pipeline.lerobot_view.opened import Opened, open_version
+from pipeline.lerobot_view.plan import Plan, planned
+from pipeline.lerobot_view.sealing import building, seal, write_manifest
 from schemas.dataset import DatasetVersion
-from schemas.episode import Episode
 
 OLD = ".old"
-COLUMNS = ("episode_id", "tasks", "lineage", "split", "group", "consents")
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,21 +35,20 @@ class Loss:
     """Ids of episodes, whether it held them or not."""
     hashes: frozenset[str]
     """Of files that go, wherever the manifest names them."""
+    moved: Mapping[str, str]
+    """Hash of a file that is written anew without the episodes -> its hash from now on."""
 
 
-def erase(folder: Path, loss: Loss, known: Mapping[str, Episode], aside: Path,
-          parent: Path | None = None) -> DatasetVersion:
+def erase(folder: Path, loss: Loss, aside: Path) -> DatasetVersion:
     """Take episodes out of a version, or find that they are out; a killed call is finished by the next.
 
-    The new folder is built aside from what the old one holds and then takes its name. It shares data files with its
-    parent, as a build does; without one it keeps its own before the first lost episode.
+    The new folder is built aside from what the old one holds and then takes its name. Data files before the first
+    lost episode, and all videos that stay, are shared with the old one, which is deleted.
 
     Args:
         folder: the version.
         loss: what goes.
-        known: id -> episode, of those that stay, their blobs as they will be.
         aside: a folder for unfinished things, on the same file system; this call alone uses it.
-        parent: folder of the version that this one grew from, if that has lost the same episodes already.
 
     Returns:
         The version as it is now, its digest taken from the bytes.
@@ -64,10 +61,9 @@ def erase(folder: Path, loss: Loss, known: Mapping[str, Episode], aside: Path,
         old.rename(folder)
     shutil.rmtree(new, ignore_errors=True)
     version = load_version(folder)
-    lost = [e for e in version.episodes if e in loss.episodes]
-    if lost:
+    if not loss.episodes.isdisjoint(version.episodes):
         aside.mkdir(parents=True, exist_ok=True)
-        _rewrite(folder, new, version, loss, known, parent if parent and (parent / EPISODES).is_file() else folder)
+        _write(new, _with_hashes(open_version(folder, version), loss), loss)
         folder.rename(old)
         new.rename(folder)
         sync_folder(folder.parent)
@@ -76,74 +72,62 @@ def erase(folder: Path, loss: Loss, known: Mapping[str, Episode], aside: Path,
     return version
 
 
-def _rewrite(folder: Path, new: Path, version: DatasetVersion, loss: Loss, known: Mapping[str, Episode],
-             shared: Path) -> None:
-    manifest = {k: _without(v, loss.hashes) for k, v in read_manifest(folder).items() if k not in ("files", "version")}
-    kept = [e for e in version.episodes if e not in loss.episodes]
-    rows, weights = _rows(folder, kept, known, version.weights)
-    blobs = [known[e].blob for e in kept]
-    now = version.model_copy(update={
-        "episodes": tuple(kept), "held_out": tuple(e for e in version.held_out if e in set(kept)), "weights": weights,
-        "inputs": tuple(dict.fromkeys(b for b in blobs if b)), "frames": sum(known[e].frames for e in kept),
-        "erased": (*version.erased, *(e for e in version.episodes if e in loss.episodes))})
-    content: dict[str, object] = {**manifest, "version": now.model_dump(mode="json", exclude={"digest"})}
-    if not rows:
-        return _empty(new, content)
-    info: dict[str, Any] = json.loads((folder / INFO).read_text(encoding="utf-8"))
-    frames = _Frames(folder)
-    write_version(new, rows, lambda e: frames.of(e.id), content, aside=new.parent, fps=int(info["fps"]),
-                  robot=str(info["robot_type"]), parent=shared, of=frames.features)
+def lost_videos(folder: Path, hashes: Collection[str]) -> Iterator[Path]:
+    """Encoded videos of a store, and the notes on them, that were made from lost files; see clips.py.
+
+    Videos that no note speaks of are among them: a killed encoder left them, and nobody can say from what.
+    """
+    kept = set[str]()
+    for note in sorted(folder.glob("*.json")):
+        try:
+            told: dict[str, Any] = json.loads(note.read_bytes())
+            source, sha = str(told["source"]), str(told["sha256"])
+        except (ValueError, KeyError, TypeError):
+            source, sha = "", ""
+        if not source or not set(source.split()).isdisjoint(hashes):
+            yield note
+        else:
+            kept.add(sha)
+    yield from (file for file in sorted(folder.glob("*.mp4")) if file.stem not in kept)
+    yield from sorted(folder.glob(".*"))
 
 
-def _rows(folder: Path, kept: Collection[str], known: Mapping[str, Episode],
-          weights: Mapping[str, float]) -> tuple[list[Row], dict[str, float]]:
-    """The rows that stay, and the shares of the groups that are left, which add up to 1 again."""
-    table = read_parquet(folder / EPISODES)
-    said: dict[str, dict[str, Any]] = {line["episode_id"]: line for line in table.select(COLUMNS).to_pylist()}
-    train = [known[e] for e in kept if said[e]["split"] == "train"]
-    group = {e: str(said[e]["group"]) for e in kept}
-    share = shares(weights, {group[e.id] for e in train})
-    chance = chances(train, group, share)
-    return [Row(known[e], said[e]["tasks"][0], said[e]["lineage"], said[e]["split"], said[e]["group"],
-                chance.get(e, 0.0), said[e]["consents"] or "") for e in kept], share
+def _with_hashes(opened: Opened, loss: Loss) -> Opened:
+    """The version with the hashes that its shards will have."""
+    table = opened.episodes
+    blobs = [loss.moved.get(str(b), b) for b in opened.texts("blob")]
+    place = table.schema.get_field_index("blob")
+    return replace(opened, episodes=table.set_column(place, "blob", texts(blobs))) if place >= 0 else opened
 
 
-class _Frames:
-    """Frames of the episodes of a version, read from its data files."""
-
-    def __init__(self, folder: Path) -> None:
-        self.features: Features = features_in(folder)
-        self._folder, self._number, self._columns = folder, -1, dict[str, Any]()
-        table = read_parquet(folder / EPISODES, ["episode_id", "data/chunk_index", "data/file_index",
-                                                 "dataset_from_index", "dataset_to_index"])
-        lines = list(zip(*(table.column(k).to_pylist() for k in range(table.num_columns)), strict=True))
-        self._places = {id: (file_number(chunk, file), start, stop) for id, chunk, file, start, stop in lines}
-        self._first: dict[int, int] = {}
-        for number, start, _ in self._places.values():
-            self._first[number] = min(start, self._first.get(number, start))
-
-    def of(self, episode: str) -> FeatureTable:
-        """The frames of an episode; a file is read once for episodes in order."""
-        number, start, stop = self._places[episode]
-        if number != self._number:
-            table = read_parquet(self._folder / data_file(number), [*self.features])
-            self._columns = {name: to_rows(table.column(name), len(names)) for name, names in self.features.items()}
-            self._number = number
-        first = self._first[number]
-        return FeatureTable(self.features, {name: rows[start - first:stop - first]
-                                            for name, rows in self._columns.items()})
+def _write(new: Path, opened: Opened, loss: Loss) -> None:
+    draft = Draft.of(opened)
+    draft = draft.kept(np.array([id not in loss.episodes for id in draft.ids], np.bool_))
+    if "train" not in draft.gathered("split"):  # nothing that is left could teach anything
+        with building(new, new.parent) as folder:
+            (folder / "meta").mkdir()
+            write_manifest(folder, _content(opened, None, loss), {})
+            seal(folder)
+        return
+    made = planned(draft)
+    clips = clips_of(made)
+    kept = {clip.sha256 for many in clips.values() for clip in many}
+    gone = {sha for name, sha in opened.hashes.items() if name.startswith("videos/")} - kept
+    wider = Loss(loss.episodes, loss.hashes | gone, loss.moved)
+    write_derived(new, made, _content(opened, made, wider), aside=new.parent, clips=clips)
 
 
-def _empty(new: Path, content: Mapping[str, object]) -> None:
-    """What is left of a version that lost every episode: a manifest that says so."""
-    path = new / MANIFEST
-    path.parent.mkdir(parents=True)
-    path.write_text(json.dumps({**content, "files": {}}, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    path.chmod(0o444)
-    with path.open("rb") as stream:
-        os.fsync(stream.fileno())
-    sync_folder(path.parent)
-    sync_folder(new)
+def _content(opened: Opened, made: Plan | None, loss: Loss) -> dict[str, object]:
+    """What the manifest says: as before, with what is left and what is lost."""
+    before = {name: _without(value, loss.hashes) for name, value in opened.manifest.items()
+              if name not in ("files", "version")}
+    version: dict[str, Any] = dict(opened.manifest["version"])
+    lost = [id for id in version["episodes"] if id in loss.episodes]
+    inputs = [loss.moved.get(sha, sha) for sha in version["inputs"] if sha in loss.moved or sha not in loss.hashes]
+    now: dict[str, object] = {"episodes": [], "held_out": [], "inputs": [], "frames": 0} if made is None else {
+        "episodes": made.ids, "held_out": [id for id in version["held_out"] if id not in loss.episodes],
+        "inputs": inputs, "frames": made.frames, "weights": made.weighed.shares}
+    return {**before, "version": {**version, **now, "erased": [*version.get("erased", ()), *lost]}}
 
 
 def _without(value: JsonValue, hashes: Collection[str]) -> JsonValue:
@@ -158,3 +142,11 @@ def _without(value: JsonValue, hashes: Collection[str]) -> JsonValue:
 def _names(value: JsonValue, hashes: Collection[str]) -> bool:
     return value in hashes if isinstance(value, str) else isinstance(value, dict) and any(
         isinstance(v, str) and v in hashes for v in value.values())
+
+
+def holds(folder: Path, episodes: Collection[str]) -> bool:
+    """Whether a version folder that nobody knows holds one of these episodes, or cannot say."""
+    try:
+        return not set(read_manifest(folder)["version"]["episodes"]).isdisjoint(episodes)
+    except (DatasetError, KeyError, TypeError):
+        return True
