@@ -1,7 +1,7 @@
 """What hardcase ingest says: a table and problems for people, JSON for machines, a bar while it works."""
 
 import json
-from collections.abc import Sequence, Sized
+from collections.abc import Mapping, Sequence, Sized
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from pipeline.logs.mapping import load_map
 from pipeline.store import Store, store_root
 from pipeline.store.folder import check_name
 from schemas.conversion import TopicUse
+from schemas.recipe import CameraConfig
 
 FINE, REFUSED = 0, 2
 PROBLEMS = 8
@@ -36,7 +37,7 @@ type Row = Taken | Refused
 
 
 def ingest_all(logs: Sequence[Path], map_file: Path, *, dataset: str | None, accept_truncated: bool,
-               as_json: bool) -> tuple[str, int]:
+               as_json: bool, sizes: Mapping[str, CameraConfig] | None = None) -> tuple[str, int]:
     """Ingest logs one after the other; a bad one is told, and the others go on.
 
     Args:
@@ -45,6 +46,7 @@ def ingest_all(logs: Sequence[Path], map_file: Path, *, dataset: str | None, acc
         dataset: name of a version to build of them.
         accept_truncated: keep what comes before the first damage.
         as_json: for machines.
+        sizes: camera -> size of its videos in the version; the camera's own where it is not named.
 
     Returns:
         What to print, and the exit code: 0, or 2 where a log was refused or quarantined.
@@ -67,7 +69,7 @@ def ingest_all(logs: Sequence[Path], map_file: Path, *, dataset: str | None, acc
                 bar.remove_task(task)
         if dataset is not None:
             try:
-                built = build_version(store, dataset, declared, [r for r in rows if isinstance(r, Taken)])
+                built = build_version(store, dataset, declared, [r for r in rows if isinstance(r, Taken)], sizes)
             except HardcaseError:
                 Console(stderr=True).print(_told(rows, None, store), soft_wrap=True, markup=False)
                 raise
@@ -141,7 +143,9 @@ def _told(rows: Sequence[Row], built: Built | None, store: Store) -> str:
                      f"{store.path(v.path)}")
         lines += [f"  left out: {_count(range(n), 'episode')}: {why}" for why, n in built.left_out.items()]
         if built.cameras:
-            lines.append(f"  cameras that wait in the store, not in the version: {', '.join(built.cameras)}")
+            lines.append(f"  cameras: {', '.join(built.cameras)}")
+        lines += [f"  camera {name} waits in the store, not in the version: {why}" for name, why in
+                  built.waiting.items()]
     return "\n".join(lines)
 
 
@@ -186,7 +190,7 @@ def _as_json(rows: Sequence[Row], built: Built | None, store: Store) -> dict[str
         v = built.version
         told["dataset"] = {"version": v.id, "folder": str(store.path(v.path)), "episodes": len(v.episodes),
                            "frames": v.frames, "held_out": len(v.held_out), "left_out": dict(built.left_out),
-                           "cameras_waiting": list(built.cameras)}
+                           "cameras": list(built.cameras), "cameras_waiting": list(built.waiting)}
     return told
 
 

@@ -11,6 +11,7 @@ import yaml
 from flows.ingest_display import ingest_all
 from pipeline.logs.resample import only, pick, values
 from pipeline.logs.spool import Spool
+from pipeline.recording.pictures import jpeg
 from pipeline.store import Store
 from schemas.consent import Consent
 from schemas.ingest import Camera, IngestMap, Source
@@ -42,7 +43,7 @@ def walk(foreign_log):
                 log.json("/battery", t, {"volt": 48})
         for k in range(150):
             log.ros("/camera/head", "sensor_msgs/msg/CompressedImage", k / 15, {
-                "header": header, "format": "jpeg", "data": b"\xff\xd8\xff"})
+                "header": header, "format": "jpeg", "data": jpeg(np.full((32, 48, 3), k, np.uint8))})
     return log.path.rename(log.path.with_name("walk.mcap"))
 
 
