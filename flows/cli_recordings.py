@@ -7,6 +7,7 @@ import typer
 
 from flows.cli_browse import browse
 from flows.cli_consent import consent
+from flows.cli_datasets import datasets
 from flows.cli_ingest import ingest
 from flows.cli_lineage import forget, why
 from flows.cli_selftest import selftest
@@ -15,6 +16,7 @@ from flows.cli_teleop import teleop
 commands = typer.Typer()
 
 commands.add_typer(consent, name="consent")
+commands.add_typer(datasets)
 commands.command()(browse)
 commands.command()(teleop)
 commands.command()(ingest)

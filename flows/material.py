@@ -25,6 +25,17 @@ NEEDS: Mapping[str, tuple[str, ...]] = {
 """Stage -> stages of the same lap whose ids it reads."""
 
 
+def ancestors_of(store: Store, episodes: Iterable[Episode]) -> list[Episode]:
+    """What these episodes were made from, through any number of steps, without themselves."""
+    waiting, found = list(episodes), list[Episode]()
+    known = {e.id for e in waiting}
+    while grown := list(dict.fromkeys(e.parent for e in waiting if e.parent and e.parent not in known)):
+        waiting = store.episodes(grown)
+        known |= {e.id for e in waiting}
+        found += waiting
+    return found
+
+
 class Material:
     """Reads one run from its store.
 
@@ -86,13 +97,7 @@ class Material:
 
     def ancestors(self, episodes: Iterable[Episode]) -> list[Episode]:
         """What these episodes were made from, through any number of steps, without themselves."""
-        waiting, found = list(episodes), list[Episode]()
-        known = {e.id for e in waiting}
-        while grown := list(dict.fromkeys(e.parent for e in waiting if e.parent and e.parent not in known)):
-            waiting = self._store.episodes(grown)
-            known |= {e.id for e in waiting}
-            found += waiting
-        return found
+        return ancestors_of(self._store, episodes)
 
     def usable(self, episodes: Iterable[Episode]) -> list[Episode]:
         """The episodes that passed their check and do not rest on a consent which has ended: those that may teach.
