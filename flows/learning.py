@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 from flows import facts
 from flows.arm_run import ArmRun, Made, no_rows
+from flows.footage import footage_of, shown
 from flows.steps_api import Progress
 from pipeline.errors import GateError
 from pipeline.lerobot_view.training_data import TrainingData
@@ -87,15 +88,19 @@ def built(run: ArmRun, generation: int) -> Made:
     standing = consents.standing(everything)
     verdicts = run.material.verdicts(standing)
     sound = verdicts.passing(standing)
-    version = build(sound, run.material.frames, run.recipe, store=run.store.root,
+    footage = footage_of(run.store, run.recipe)
+    seen = shown(sound, footage, run.recipe)
+    version = build(seen, run.material.frames, run.recipe, store=run.store.root,
                     task=load_task(run.recipe.task).instruction, generation=generation, parent=parent,
-                    consents=consents, verdicts=verdicts)
+                    consents=consents, verdicts=verdicts, footage=footage)
     says = f"{len(version.episodes)} episodes, {version.frames} frames"
     if out := len(everything) - len(standing):
         says += f"; {out} left out, their consent has ended"
     wanted = run.recipe.dataset.sources
     if failed := sum(e.origin in wanted for e in standing) - sum(e.origin in wanted for e in sound):
         says += f"; {failed} left out, they failed their check"
+    if dark := len(sound) - len(seen):
+        says += f"; {dark} left out, a camera of the recipe has no pictures of them"
     return Made((version.id,), says, {"frames": version.frames}, lambda tx: tx.add_version(version))
 
 
