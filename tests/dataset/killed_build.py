@@ -1,4 +1,4 @@
-"""Builds a version and is killed on the way: run as `python killed_build.py STORE`, prints what was left.
+"""Builds a version and is killed on the way: run as `python killed_build.py STORE [camera]`, prints what was left.
 
 Every step that reaches the disk is counted; for each count a child is forked that builds and sends
 itself SIGKILL there. Reported is, as JSON, one entry a kill: the call, the folders that were left, and
@@ -13,7 +13,7 @@ import signal
 import sys
 from pathlib import Path
 
-from schemas.recipe import Recipe
+from schemas.recipe import DatasetConfig, Recipe
 from stages.build import build, load_version
 
 spec = importlib.util.spec_from_file_location("episodes", Path(__file__).with_name("conftest.py"))
@@ -24,9 +24,15 @@ DEMOS = [made.make_episode(f"demo {k}", length=8) for k in range(4)]
 FIXES = [made.make_episode(f"fix {k}", "corrected", parent=f"attempt {k}", generation=1, takeover=4) for k in range(3)]
 
 
-def grow(store, parent):
-    return build([*DEMOS, *FIXES], made.frames_of, Recipe(name="test"), store=store, task=made.TASK, generation=1,
-                 parent=parent)
+def versions(store, camera):
+    """A base version, and what grows from it."""
+    cameras = {"front": {"width": 32, "height": 16}} if camera else {}
+    recipe = Recipe(name="test", dataset=DatasetConfig(cameras=cameras))
+    how = {"store": store, "task": made.TASK, "footage": made.footage_of if camera else None}
+    fixes = FIXES[:1] if camera else FIXES
+    base = build(DEMOS[:2] if camera else DEMOS, made.frames_of, recipe, generation=0, **how)
+    return base, lambda: build([*(DEMOS[:2] if camera else DEMOS), *fixes], made.frames_of, recipe, generation=1,
+                               parent=base, **how)
 
 
 def dies_at(count):
@@ -46,24 +52,24 @@ def dies_at(count):
         setattr(owner, name, step)
 
     for owner, name in ((os, "fsync"), (os, "link"), (os, "mkdir"), (Path, "rename"), (Path, "chmod"),
-                        (Path, "write_text")):
+                        (Path, "write_text"), (Path, "replace")):
         deadly(owner, name)
     return calls
 
 
-def main(root):
+def main(root, camera):
     reports = []
     for count in range(1, 200):
         store = root / str(count)
-        parent = build(DEMOS, made.frames_of, Recipe(name="test"), store=store, task=made.TASK, generation=0)
+        parent, grow = versions(store, camera)
         if not (child := os.fork()):
             dies_at(count)
-            grow(store, parent)
+            grow()
             os._exit(0)
         _, status = os.waitpid(child, 0)
         left = sorted(p.name for p in (store / "versions").iterdir())
         whole = [load_version(store / "versions" / name).id for name in left]
-        again = grow(store, parent)
+        again = grow()
         unfinished = [p.name for p in (store / "tmp").iterdir()]
         reports.append({"killed": os.WIFSIGNALED(status), "whole": whole == left, "parent": parent.id in left,
                         "left": len(left), "id": again.id, "digest": again.digest, "unfinished": unfinished})
@@ -74,4 +80,4 @@ def main(root):
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(Path(sys.argv[1]), "camera" in sys.argv)
