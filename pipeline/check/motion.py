@@ -182,11 +182,14 @@ def spikes(signals: Signals, contract: Contract) -> Iterator[Finding]:
 
 
 def _swing(commanded: Rows, late: int) -> Rows:
-    """How far each command went out and back again within the last `late` rows, shape (n, d); 0 where it went on."""
+    """How far each command went out and back again within the last `late` rows, shape (n, d); 0 where it went on.
+
+    Half of its way beyond what brought it further: it may have come from somewhere else before.
+    """
     padded = np.concatenate([np.repeat(commanded[:1], late, axis=0), commanded])
     windows = np.lib.stride_tricks.sliding_window_view(padded, late + 1, axis=0)
-    first, last = windows[..., 0], windows[..., -1]
-    return np.maximum(windows.max(axis=2) - np.maximum(first, last), np.minimum(first, last) - windows.min(axis=2))
+    way = np.abs(np.diff(windows, axis=2)).sum(axis=2)
+    return (way - np.abs(windows[..., -1] - windows[..., 0])) / 2
 
 
 def _spike(thresholds: Thresholds, unit: str) -> float:

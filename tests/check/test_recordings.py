@@ -207,3 +207,14 @@ def test_the_verdict_follows_from_file_and_contract_alone(demos, findings, tmp_p
     copy = tmp_path / Path(demos[0]).name
     copy.write_bytes(demos[0].read_bytes())
     assert findings(copy) == findings(demos[0])
+
+
+def test_a_finger_that_does_what_its_command_does_is_no_spike(spoil_trace, findings):
+    """Its command flaps for one tick, a while after it had been high; the finger follows two ticks later."""
+    def flapping(t):
+        opening = np.zeros(len(t.state))
+        opening[:11] = opening[16] = 0.08
+        t.joint_action[:, 6] = opening
+        t.state[:, 6] = np.concatenate([[0.08, 0.08], opening[:-2]])
+
+    assert "spikes" not in {f.check for f in findings(spoil_trace(flapping)).findings}
