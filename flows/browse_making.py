@@ -144,8 +144,8 @@ class Making:
 
     def _write(self, path: Path, id: str, attempts: Mapping[str, Shown]) -> None:
         with self._cache.making(path) as part, recording(part, id) as stream:
-            for prefix, shown in attempts.items():
-                draw(stream, shown, prefix)
+            for number, (prefix, shown) in enumerate(attempts.items()):
+                draw(stream, shown, prefix, number if prefix else None)
 
     def _note(self, episode: Episode) -> str:
         cases = self._store.hard_cases(episode=episode.id)

@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING
 from flows.browse_query import Chosen, choose
 from pipeline.errors import ConfigError, HardcaseError
 from pipeline.store import Store
-from schemas.episode import Episode
 
 if TYPE_CHECKING:
     from flows.browse_making import Beside, Made, Making
     from pipeline.browsing.catalog import Catalog
+    from pipeline.policies.onnx_policy import OnnxPolicy
 
 BATCH = 25
 """Episodes that are made before they appear in the table."""
@@ -162,14 +162,14 @@ def ended_by_signals() -> Generator[threading.Event]:
             signal.signal(number, handler)
 
 
-def _policy(store: Store, name: str | None):  # noqa: ANN202
+def _policy(store: Store, name: str | None) -> "tuple[str, OnnxPolicy] | None":
     if name is None:
         return None
     from flows.teleop_devices import open_policy
     from pipeline.policies.onnx_policy import OnnxPolicy
 
-    policy, id, _ = open_policy(name, store)
-    if not isinstance(policy, OnnxPolicy):
+    policy, _, id = open_policy(name, store)
+    if not isinstance(policy, OnnxPolicy) or id is None:
         raise ConfigError(f"{name} predicts nothing from what was recorded", where=f"--policy {name}",
                           mend="name champion, or the id of a policy")
     return id, policy

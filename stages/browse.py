@@ -1,5 +1,8 @@
 """Browse: what is played again to be looked at beside an episode; nothing of it is kept or learnt from."""
 
+# mujoco is a compiled package without type stubs
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
+
 from collections.abc import Mapping
 from dataclasses import dataclass
 

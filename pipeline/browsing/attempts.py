@@ -1,5 +1,6 @@
 """From what is stored of an attempt to what is drawn of it: recordings, variants, ingested frames."""
 
+import re
 from collections.abc import Iterable, Mapping
 
 import numpy as np
@@ -79,29 +80,29 @@ def segments(episode: Episode) -> dict[str, dict[int, str]]:
 
 
 def about(episode: Episode) -> str:
-    """What the record says, as a Markdown table."""
+    """What the record says, as Markdown."""
     outcome, scene = episode.outcome, episode.scene
-    told = f"{outcome.label}, judged by {outcome.judged_by}"
-    rows = {
-        "outcome": told, "family": outcome.family, "trigger": outcome.trigger, "reason": outcome.reason,
-        "source": episode.origin, "task": scene.task, "robot": scene.robot, "start": scene.stratum,
-        "generation": str(episode.generation), "policy": episode.policy, "parent": episode.parent,
-        "made by": episode.transform, "frames": f"{episode.frames} at {episode.control_hz:g} Hz",
-        "drawn physics": ", ".join(f"{d.name} {d.value:.3g} {d.unit}" for d in scene.draws), "consent": episode.consent,
+    told = {
+        "trigger": outcome.trigger, "reason": outcome.reason, "judged by": outcome.judged_by,
+        "source": episode.origin, "generation": str(episode.generation), "policy": episode.policy,
+        "parent": episode.parent, "made by": episode.transform, "task": scene.task, "robot": scene.robot,
+        "start": scene.stratum, "frames": f"{episode.frames} at {episode.control_hz:g} Hz", "consent": episode.consent,
+        "drawn physics": ", ".join(f"{d.name} {d.value:.3g} {d.unit}" for d in scene.draws),
     }
-    return "\n".join([f"### {episode.origin} episode {episode.id}", "", "| | |", "|---|---|",
-                      *(f"| {name} | {_cell(value)} |" for name, value in rows.items() if value)])
+    head = f"### {outcome.label}" + (f": {outcome.family}" if outcome.family else "")
+    facts = " · ".join(f"{name} **{_plain(value)}**" for name, value in told.items() if value)
+    return f"{head}\n\nepisode **{episode.id}** · {facts}"
 
 
 def by_joint(columns: Iterable[str], values: Rows, kind: str) -> dict[str, Rows]:
     """Curves 'joints/NAME/KIND' of the columns of `values`, shape (m, len(columns))."""
-    return {f"joints/{name}/{kind}": values[:, k].astype(np.float64) for k, name in enumerate(columns)}
+    return {f"joints/{name}/{kind}": values[:, k] for k, name in enumerate(columns)}
 
 
 def _lines(frames: Frames) -> dict[str, Rows]:
     state = frames.state.astype(np.float64)
     lines = by_joint((*JOINTS, "gripper"), state, "state")
-    lines |= by_joint((*JOINTS, "gripper"), frames.joint_action, "command")
+    lines |= by_joint((*JOINTS, "gripper"), frames.joint_action.astype(np.float64), "command")
     lines |= {f"hand/{name}/state": state[:, 7 + k] for k, name in enumerate(MEASURED)}
     lines |= {f"hand/{name}/command": state[:, 11 + k] for k, name in enumerate(COMMANDED)}
     lines |= {f"action/{name}/sent": frames.action[:, k].astype(np.float64) for k, name in enumerate(ACTION)}
@@ -137,5 +138,6 @@ def _title(episode: Episode) -> str:
     return f"{episode.origin} {episode.id[:8]}: {outcome}"
 
 
-def _cell(value: str) -> str:
-    return value.replace("|", "\\|").replace("\n", " ")
+def _plain(value: str) -> str:
+    """Text of others without Markdown's own signs."""
+    return re.sub(r"([*_`\[\]<>#|\\])", r"\\\1", value.replace("\n", " "))

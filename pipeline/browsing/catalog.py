@@ -1,6 +1,7 @@
 """The catalog: Rerun's server with the episodes of a question as a table that is sorted, filtered and clicked."""
 # pyright: reportUnknownMemberType=false
 
+import threading
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,9 +14,10 @@ from rerun.catalog import OnDuplicateSegmentLayer
 from rerun.server import Server
 
 from pipeline.browsing.episode import APPLICATION
-from pipeline.browsing.layers import COLUMNS, PROPERTY
+from pipeline.browsing.layers import COLUMNS, PROPERTY, TEXTS
 
 LOCAL = "127.0.0.1"
+_END_S = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,14 +77,18 @@ def serving() -> Generator[Catalog]:
     try:
         yield Catalog(server)
     finally:
-        server.shutdown()
+        # it waits for its last call; a viewer that somebody else connected may never end one
+        ending = threading.Thread(target=server.shutdown, daemon=True)
+        ending.start()
+        ending.join(_END_S)
 
 
 def table_blueprint() -> rrb.table.TableBlueprint:
     """The columns by which people choose, in their order; Rerun's own bookkeeping is hidden."""
-    shown = [rrb.table.Column("rerun_segment_id", name="episode"),
-             *(rrb.table.Column(f"property:{PROPERTY}:{name}", name=name) for name in COLUMNS)]
+    shown = [rrb.table.Column("recording link", name="episode"),  # the one column of the viewer that opens a recording
+             *(rrb.table.Column(f"property:{PROPERTY}:{name}", name=name,
+                                column_type=rr.components.Text if name in TEXTS else None) for name in COLUMNS)]
     hidden = [rrb.table.Column(name, visible=False) for name in
-              ("rerun_layer_names", "rerun_storage_urls", "rerun_last_updated_at", "rerun_num_chunks",
-               "rerun_size_bytes")]
+              ("rerun_segment_id", "rerun_layer_names", "rerun_storage_urls", "rerun_last_updated_at",
+               "rerun_num_chunks", "rerun_size_bytes")]
     return rrb.table.TableBlueprint(table_layout=rrb.table.TableLayout(columns=[*shown, *hidden]))

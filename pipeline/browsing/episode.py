@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 
 from pipeline.browsing.shown import Body, Shape, Shown
 from pipeline.trace import Rows
@@ -20,6 +21,8 @@ COLOURS: Mapping[str, tuple[int, int, int]] = {
     "state": (96, 165, 250), "command": (251, 146, 60), "sent": (251, 146, 60), "predicted": (192, 132, 252),
 }
 """Last part of a curve's path -> its colour; others get one of Rerun's."""
+HUES = ((226, 232, 240), (96, 165, 250), (251, 146, 60), (74, 222, 128), (192, 132, 252), (244, 114, 182))
+"""Attempt 0, 1, 2, ... of several on one time line -> its hue."""
 LANES: Mapping[str, tuple[int, int, int]] = {
     "demonstration": (74, 222, 128), "autonomous": (96, 165, 250), "intervention": (251, 191, 36),
 }
@@ -44,15 +47,16 @@ def recording(path: Path, id: str) -> Generator[rr.RecordingStream]:
         stream.disconnect()
 
 
-def draw(stream: rr.RecordingStream, shown: Shown, prefix: str = "") -> None:
+def draw(stream: rr.RecordingStream, shown: Shown, prefix: str = "", number: int | None = None) -> None:
     """Send an attempt.
 
     Args:
         stream: where to.
         shown: the attempt.
         prefix: entity that everything goes below, as '/champion'; '' for the only attempt.
+        number: of the attempt, where several share a plot: its curves are named after it and have its hue.
     """
-    _lines(stream, shown, prefix)
+    _lines(stream, shown, prefix, number)
     for body in shown.bodies:
         _body(stream, shown, body, f"{prefix}/world/{body.name}")
     if len(shown.path):
@@ -82,24 +86,30 @@ def draw(stream: rr.RecordingStream, shown: Shown, prefix: str = "") -> None:
         stream.log(f"{prefix}/about", about, static=True)
 
 
-def times(seconds: Rows, ticks: np.ndarray | None = None) -> list[rr.TimeColumn]:
+def times(seconds: Rows, ticks: NDArray[np.intp] | None = None) -> list[rr.TimeColumn]:
     """Both time lines of all ticks, or of some."""
     chosen = np.arange(len(seconds)) if ticks is None else ticks
     return [rr.TimeColumn(TIME, duration=seconds[chosen]), rr.TimeColumn(TICK, sequence=chosen)]
 
 
-def curve(stream: rr.RecordingStream, entity: str, at: list[rr.TimeColumn], values: Rows) -> None:
-    """One curve, named and coloured by the last part of its path."""
-    name = entity.rsplit("/", 1)[-1]
-    style = rr.SeriesLines(names=name, colors=COLOURS.get(name), widths=1.5)
-    stream.log(entity, style, static=True)
+def curve(stream: rr.RecordingStream, path: str, at: list[rr.TimeColumn], values: Rows, *, prefix: str = "",
+          hue: tuple[int, int, int] | None = None) -> None:
+    """One curve, named and coloured by the last part of its path, or by its attempt where that has a hue."""
+    kind = path.rsplit("/", 1)[-1]
+    name, colour, width = kind, COLOURS.get(kind), 1.5
+    if hue is not None:
+        asked = kind in ("command", "sent")
+        name = f"{prefix.strip('/').replace('/', ' ')} {kind}"
+        colour, width = (*hue, 110) if asked else (*hue, 255), 1.0 if asked else 2.0
+    entity = prefix + "/" + "/".join(map(_part, path.strip("/").split("/")))
+    stream.log(entity, rr.SeriesLines(names=name, colors=colour, widths=width), static=True)
     stream.send_columns(entity, at, rr.Scalars.columns(scalars=values))
 
 
-def _lines(stream: rr.RecordingStream, shown: Shown, prefix: str) -> None:
-    at = times(shown.seconds)
+def _lines(stream: rr.RecordingStream, shown: Shown, prefix: str, number: int | None) -> None:
+    at, hue = times(shown.seconds), None if number is None else HUES[number % len(HUES)]
     for path, values in shown.lines.items():
-        curve(stream, f"{prefix}/" + "/".join(map(_part, path.split("/"))), at, values)
+        curve(stream, path, at, values, prefix=prefix, hue=hue)
 
 
 def _part(name: str) -> str:

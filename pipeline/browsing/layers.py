@@ -3,11 +3,12 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import rerun as rr
 
+from pipeline.arrow import pa
 from pipeline.browsing.episode import curve, recording, times
 from pipeline.frames import ACTION, JOINTS
 from pipeline.protocols import Array
@@ -16,9 +17,11 @@ from schemas.episode import Episode
 
 PROPERTY = "episode"
 """Name of the property that the columns belong to."""
-COLUMNS = ("outcome", "success", "source", "family", "trigger", "task", "robot", "start", "generation", "policy",
-           "parent", "seconds", "note")
+COLUMNS = ("outcome", "success", "source", "family", "generation", "start", "seconds", "task", "trigger", "policy",
+           "parent", "robot", "note")
 """What the table of episodes is sorted, filtered and asked by."""
+FAILED = (248, 113, 113)
+TEXTS = frozenset(COLUMNS) - {"success", "generation", "seconds"}
 
 
 def labels(path: Path, episode: Episode, note: str = "") -> None:
@@ -39,14 +42,15 @@ def labels(path: Path, episode: Episode, note: str = "") -> None:
             label = episode.outcome.family or episode.outcome.trigger or episode.outcome.label
             seconds = np.arange(episode.frames) / episode.control_hz
             at = times(seconds, np.array([0, tick]))
+            stream.log("/states/label", rr.StateConfiguration(values=[label], colors=[FAILED]), static=True)
             stream.send_columns("/states/label", at, rr.StateChange.columns(state=["", label]))
 
 
-def columns(episode: Episode, note: str = "") -> dict[str, pa.Array]:
+def columns(episode: Episode, note: str = "") -> dict[str, Any]:
     """Column -> its value as an Arrow array of one; null where there is nothing to say."""
     outcome = episode.outcome
     success = {"success": True, "failure": False}.get(outcome.label)
-    values: dict[str, tuple[object, pa.DataType]] = {
+    values: dict[str, tuple[object, Any]] = {
         "outcome": (outcome.label, pa.string()), "success": (success, pa.bool_()),
         "source": (episode.origin, pa.string()), "family": (outcome.family, pa.string()),
         "trigger": (outcome.trigger, pa.string()), "task": (episode.scene.task, pa.string()),
@@ -71,9 +75,8 @@ def shadows(path: Path, episode: str, seconds: Rows, watched: Mapping[str, Shado
         at = times(seconds)
         for policy, shadow in watched.items():
             for k, joint in enumerate((*JOINTS, "gripper")):
-                curve(stream, f"/joints/{joint}/shadow {policy[:8]}".replace(" ", r"\ "), at,
-                      shadow.joint_commands[:, k])
-            curve(stream, f"/shadow/{policy[:8]}", at, shadow.disagreement)
+                curve(stream, f"joints/{joint}/shadow {policy[:8]}", at, shadow.joint_commands[:, k])
+            curve(stream, f"shadow/{policy[:8]}", at, shadow.disagreement)
 
 
 def predictions(path: Path, episode: str, seconds: Rows, state: Rows, chunks: Array) -> None:
@@ -89,7 +92,7 @@ def predictions(path: Path, episode: str, seconds: Rows, state: Rows, chunks: Ar
     with recording(path, episode) as stream:
         at = times(seconds)
         for k, name in enumerate(ACTION):
-            curve(stream, f"/action/{name}/predicted", at, chunks[:, 0, k])
+            curve(stream, f"action/{name}/predicted", at, chunks[:, 0, k])
         ahead = state[:, None, 11:14] + np.cumsum(chunks[:, :, :3], axis=1)
         ways = np.concatenate([state[:, None, 7:10], ahead], axis=1)
         stream.log("/world/predicted", rr.LineStrips3D.from_fields(colors=[(192, 132, 252)], radii=0.002),

@@ -40,13 +40,15 @@ def surroundings(scene: SceneSpec, xml: bytes | None) -> list[Body]:
 def cube(scene: SceneSpec, xml: bytes | None) -> tuple[Shape, ...]:
     """The object as it is drawn; its colour is the scene's."""
     geom = _geoms(xml).get("object")
-    return (Shape("box", (scene.object_half_m,) * 3, colour=_rgba(geom, _CUBE) if geom is not None else _CUBE),)
+    half = scene.object_half_m
+    return (Shape("box", (half, half, half), colour=_rgba(geom, _CUBE) if geom is not None else _CUBE),)
 
 
 def perceived(environment: Rows, half_m: float) -> Body:
     """The object where the robot perceived it, as edges; see frames.ENVIRONMENT for the columns, shape (m, 7)."""
     poses = np.concatenate([environment[:, :3], yawed(environment[:, 3])], axis=1)
-    return Body("perceived", (Shape("box", (half_m * 1.02,) * 3, colour=_PERCEIVED, solid=False),), poses)
+    edge = half_m * 1.02  # so that its edges are not inside the true one
+    return Body("perceived", (Shape("box", (edge, edge, edge), colour=_PERCEIVED, solid=False),), poses)
 
 
 def _geoms(xml: bytes | None) -> dict[str, ET.Element]:

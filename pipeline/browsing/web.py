@@ -3,6 +3,8 @@
 import http.client
 import os
 import re
+import select
+import socket
 import subprocess
 import threading
 from collections.abc import Generator, Mapping
@@ -15,18 +17,22 @@ from pipeline.errors import ConfigError
 
 LOCAL = "127.0.0.1"
 PAGES: Mapping[str, str] = {
-    "index.html": "text/html; charset=utf-8", "re_viewer.js": "text/javascript", "re_viewer_bg.wasm": "application/wasm",
-    "favicon.ico": "image/x-icon",
+    "index.html": "text/html; charset=utf-8", "re_viewer.js": "text/javascript",
+    "re_viewer_bg.wasm": "application/wasm", "favicon.ico": "image/x-icon",
 }
 """What the viewer consists of; its service worker is left out, it would outlive us in the browser."""
-POLICY = ("default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; style-src 'self' 'unsafe-inline';"
-          " img-src 'self' data: blob:; worker-src 'self' blob:; connect-src 'self' data: blob:; frame-ancestors 'self'")
+POLICY = ("default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; style-src 'self' "
+          "'unsafe-inline'; img-src 'self' data: blob:; worker-src 'self' blob:; connect-src 'self' data: blob:; "
+          "frame-ancestors 'self'")
 """Nothing is fetched from, or sent to, anywhere else."""
 _HOSTED = re.compile(rb"Hosting a web-viewer at http://127\.0\.0\.1:(\d+)")
 _ELSEWHERE = re.compile(rb"<link[^>]*https?://[^>]*>")
 _HOP = frozenset({"connection", "keep-alive", "transfer-encoding", "te", "trailer", "upgrade", "host",
-                  "proxy-connection", "accept-encoding"})
+                  "proxy-connection", "expect"})
+"""Headers between two neighbours, not between the ends."""
 _START_S = 30.0
+_LOOK_S = 0.2
+"""How often a call that answers nothing looks whether everything ends [s]."""
 
 
 def viewer_binary() -> Path:
@@ -100,6 +106,7 @@ def web_viewer(catalog: str, start: str, port: int = 0, pages: Mapping[str, byte
     try:
         yield f"{address}/"
     finally:
+        server.ending = True
         server.shutdown()
         server.server_close()
         thread.join()
@@ -110,13 +117,14 @@ class _Server(ThreadingHTTPServer):
     files: Mapping[str, bytes]
     behind: int
     first: str
+    ending = False
 
 
 class _Handler(BaseHTTPRequestHandler):
     """Files of the viewer by GET; the catalog's gRPC-Web by POST, passed on as it comes."""
 
     protocol_version = "HTTP/1.1"
-    server: _Server
+    server: _Server  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def do_GET(self) -> None:
         """A file of the viewer; the bare address leads to what was asked for."""
@@ -141,29 +149,24 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(data)
 
     def do_POST(self) -> None:
-        """A call of the catalog."""
+        """A call of the catalog, passed on byte by byte; some answer for as long as the viewer is open."""
+        self.close_connection = True
         if not self._ours() or not self.path.startswith("/rerun."):
             return self._short(403)
         body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
-        headers = {k: v for k, v in self.headers.items() if k.lower() not in _HOP}
-        behind = http.client.HTTPConnection(LOCAL, self.server.behind)
-        try:
-            behind.request("POST", self.path, body, headers)
-            answer = behind.getresponse()
-            self.send_response(answer.status)
-            for name, value in answer.getheaders():
-                if name.lower() not in _HOP | {"content-length", "date", "server"}:
-                    self.send_header(name, value)
-            self.send_header("Transfer-Encoding", "chunked")
-            self.end_headers()
-            while piece := answer.read1(1 << 20):
-                self.wfile.write(f"{len(piece):x}\r\n".encode() + piece + b"\r\n")
-                self.wfile.flush()
-            self.wfile.write(b"0\r\n\r\n")
-        except (OSError, http.client.HTTPException):
-            self.close_connection = True  # the viewer sees a broken call and asks again
-        finally:
-            behind.close()
+        kept = [f"{k}: {v}" for k, v in self.headers.items() if k.lower() not in _HOP]
+        head = [f"POST {self.path} HTTP/1.1", f"Host: {LOCAL}:{self.server.behind}", "Connection: close", *kept, "", ""]
+        with socket.create_connection((LOCAL, self.server.behind)) as behind:
+            behind.sendall("\r\n".join(head).encode("latin-1") + body)
+            while not self.server.ending:
+                ready, _, _ = select.select([behind, self.connection], [], [], _LOOK_S)
+                if self.connection in ready:  # it asks nothing more on this connection: it went away
+                    return
+                if behind in ready:
+                    piece = behind.recv(1 << 16)
+                    if not piece:
+                        return
+                    self.connection.sendall(piece)
 
     def log_message(self, format: str, *args: object) -> None:
         """Say nothing: the terminal belongs to the person."""
@@ -182,7 +185,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def handle(self) -> None:
         """Serve one connection; a browser that goes away in the middle is no fault."""
-        with suppress(ConnectionError):
+        with suppress(OSError):
             super().handle()
 
 
