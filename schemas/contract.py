@@ -123,6 +123,8 @@ class Thresholds(Frozen):
     video_gain: float = Field(default=0.03, gt=0, description="how much better the shifted video must fit, in "
                               "correlation: in an attempt that mostly stands still every shift fits")
     frames_share: float = Field(default=0.02, ge=0, description="share of pictures that may be missing")
+    told_share: float = Field(default=0.1, ge=0, description="the same where the recorder itself counted each of them: "
+                              "a warning up to here")
     twin_rms: float = Field(default=0.0005, ge=0, description="root mean square distance of two recordings of one "
                             "motion, in ranges of the signal: a copy through another format; replays in other physics "
                             "differ by 0.0013 and more")

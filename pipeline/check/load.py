@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from pipeline.check.own_time import in_own_time
 from pipeline.check.pictures import Grey, compressed, raw_picture
 from pipeline.check.signals import THUMB, Camera, Column, Signals, Subject, Topic
 from pipeline.errors import RecordingError
@@ -45,7 +46,7 @@ def read_recording(path: Path, *, name: str | None = None) -> Subject:
     signals = Signals(
         called, {t.name: t.topic() for t in topics.values()}, {n: p.camera(n) for n, p in pictures.items()},
         _episode(metadata), metadata, attachments, faults)
-    return Subject(called, sha256_file(path), (signals,))
+    return Subject(called, sha256_file(path), (in_own_time(signals),))
 
 
 def _gather(log: LogReader) -> "tuple[dict[str, _Parts], dict[str, _Pictures]]":

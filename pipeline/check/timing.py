@@ -47,7 +47,14 @@ def gaps(signals: Signals, contract: Contract) -> Iterator[Finding]:
 
 
 def jitter(signals: Signals, contract: Contract) -> Iterator[Finding]:
-    """How unevenly a topic speaks: the interval that 95 of 100 keep to, against its period."""
+    """How unevenly a topic speaks: the interval that 95 of 100 keep to, against its period.
+
+    What a live recording of ours was late by without harm (see own_time) is told as a warning.
+    """
+    for fact in ("paused", "late"):
+        if what := signals.faults.get(fact):
+            yield Finding(check="jitter", severity="warning", what=what, where=signals.name,
+                          mend="give the recorder a core of its own; fewer or smaller pictures")
     for topic in _steady(signals):
         rule = contract.topics.get(topic.name)
         period = 1 / rule.rate_hz if rule and rule.rate_hz else topic.period_s

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from pipeline.check.following import Fit, best_lag, resample
 from pipeline.check.motion import followed
+from pipeline.check.own_time import told_missing
 from pipeline.check.projection import tool_track
 from pipeline.check.signals import Camera, Rows, Signals, Subject
 from schemas.contract import Contract
@@ -43,7 +44,7 @@ def _ticks(signals: Signals) -> Iterator[Finding]:
     for name, topic in signals.topics.items():
         if topic.sequence is None or topic.tabled or len(topic) < MANY or not _every_tick(topic.sequence):
             continue
-        if len(topic) != promised:
+        if len(topic) + (told_missing(signals, name) if name in signals.cameras else 0) != promised:
             yield Finding(check="frames", what=f"{len(topic)} messages for {promised} ticks", where=name,
                           value=float(len(topic)), limit=float(promised),
                           mend="drop the episode, or record it again with a longer queue")
@@ -65,11 +66,15 @@ def _holes(signals: Signals, camera: Camera, contract: Contract) -> Iterator[Fin
         return
     missing = int(np.round(steps / usual - 1).clip(min=0).sum())
     limit = max(1.0, contract.thresholds.frames_share * len(camera.stamps_ns))
-    if missing > limit:
+    told = 0 < missing <= told_missing(signals, camera.name)
+    few = told and missing <= contract.thresholds.told_share * (len(steps) + 1 + missing)
+    if missing > limit or told:
         k = int(steps.argmax())
-        yield Finding(check="frames", what=f"{missing} of {len(steps) + 1 + missing} pictures are missing",
-                      where=camera.name, at_s=signals.at_s(int(camera.stamps_ns[k])), frame=k, value=float(missing),
-                      limit=limit, mend="look at the recorder's dropped messages; lower the camera's size or rate")
+        yield Finding(check="frames", severity="warning" if few else "error",
+                      what=f"{missing} of {len(steps) + 1 + missing} pictures are missing"
+                      + (", as the recorder counted" if told else ""), where=camera.name,
+                      at_s=signals.at_s(int(camera.stamps_ns[k])), frame=k, value=float(missing), limit=limit,
+                      mend="look at the recorder's dropped messages; lower the camera's size or rate")
 
 
 def shifted_video(signals: Signals, contract: Contract) -> Iterator[Finding]:

@@ -55,6 +55,8 @@ class Filming:
             if self._cameras.skipped:
                 text = f"{self._cameras.skipped} moments not taken: the cameras are slower than the robot"
                 self._recorder.event("camera", text, level=30)
+                for camera in self.taken:
+                    self._recorder.skipped(camera, self._cameras.skipped)
         except HardcaseError as error:
             self.error = error
             self._recorder.event("camera", error.what, level=40)

@@ -75,7 +75,7 @@ class LiveRecorder:
         self._episode, self._software, self._layout = episode, dict(software or {}), layout
         self._consent = consent
         self._clock, self._latest = clock or steady_clock(), 0
-        self._topics = set[str]()
+        self._topics, self._skipped = set[str](), dict[str, int]()
         self._numbered = self._closed = False
         first = episode.segments[0]
         self._starts: list[tuple[int, str, str]] = [(0, first.kind, first.actor)]
@@ -169,6 +169,10 @@ class LiveRecorder:
         return self._put("/teleop/joy", lambda ns: cdr.joy(ns, axes, buttons), 8 * len(axes) + 8 * len(buttons), tick,
                          stamp_ns)
 
+    def skipped(self, camera: str, count: int) -> None:
+        """Note in the metadata how many pictures a camera should have taken and did not."""
+        self._skipped[camera] = count
+
     def segment(self, kind: str, actor: str, *, tick: int | None = None) -> bool:
         """From `tick` (the next one where None) somebody else commands; kind and actor as in schemas Segment."""
         at = self.frames if tick is None else tick
@@ -258,7 +262,8 @@ class LiveRecorder:
         values = self._episode.model_dump() | {"frames": self.frames, "outcome": outcome, "segments": segments}
         episode = Episode.model_validate(values)
         dropped = dict(self._writer.dropped)
-        extra = {**self._software, "dropped": json.dumps(dropped, sort_keys=True)}
+        extra = {**self._software, "dropped": json.dumps(dropped, sort_keys=True),
+                 "skipped": json.dumps(self._skipped, sort_keys=True)}
         self._file.end({NAME: episode_metadata(episode, software=extra, truncated=False, consent=self._consent)})
         write_all(self._handle, self._file.take())
         os.fsync(self._handle)
