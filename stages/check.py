@@ -16,6 +16,7 @@ from pipeline.check.table import CHECKS
 from pipeline.errors import HardcaseError, RecordingError
 from pipeline.files import sha256, short_id
 from pipeline.logs.child import Children, Limits
+from pipeline.logs.inspection import inspect
 from schemas.contract import Contract
 from schemas.finding import CheckVerdict, Finding
 
@@ -82,6 +83,8 @@ def init(items: Sequence[Item], *, name: str = "default") -> Contract:
         HardcaseError: one of them cannot be read.
     """
     with Children() as children:
+        for item in items:
+            _gate(item.path, children)
         plain = children.call(contract_of, [str(i.path) for i in items], [i.name for i in items], name,
                               where=items[0].path, limits=_limits([i.path for i in items]))
     return Contract.model_validate_json(plain)
@@ -121,10 +124,18 @@ def contract_of(paths: list[str], names: list[str], name: str) -> str:
 def _one(item: Item, contract: Contract, names: Collection[str],
          children: Children) -> tuple[CheckVerdict, Motion | None]:
     arguments = str(item.path), item.name, contract.model_dump_json(), list(names)
+    if not item.trusted:
+        _gate(item.path, children)
     found: dict[str, Any] = verdict_of(*arguments) if item.trusted else children.call(
         verdict_of, *arguments, where=item.path, limits=_limits([item.path]))
     motion = Motion.of(found["motion"]) if found["motion"] else None
     return CheckVerdict.model_validate_json(found["verdict"]), motion
+
+
+def _gate(path: Path, children: Children) -> None:
+    """Read a recording once within the tight limits of any foreign file, so that what is hostile ends there."""
+    if path.is_file():
+        inspect(path, accept_truncated=True, children=children)
 
 
 def _limits(paths: Sequence[Path]) -> Limits:

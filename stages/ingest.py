@@ -10,6 +10,7 @@ from pipeline.lerobot_view.split import DRAWN
 from pipeline.logs import convert as conversions
 from pipeline.logs.child import Children, Limits
 from pipeline.logs.identity import camera_hashes, code_hash, conversion_id, reads_hash
+from pipeline.logs.inspection import Inspection, inspect
 from pipeline.store.ingests import INGEST
 from schemas.consent import NO_CONSENT
 from schemas.conversion import CameraFile, Conversion, Converted, Ingestion
@@ -18,8 +19,9 @@ from schemas.ingest import IngestMap, SaidOutcome
 from schemas.scene import SceneSpec
 
 NOTHING: Mapping[str, tuple[Path, CameraFile]] = MappingProxyType({})
-LEAST_S, BYTES_A_SECOND = 3.5, 6e4
-"""CPU time for any log [s], and bytes that are worth a second more: JSON of a robot at rest, packed 200 to 1."""
+LEAST_S, BYTES_A_SECOND, MESSAGES_A_SECOND = 3.5, 2e6, 1e4
+"""CPU time for any log [s], and bytes and messages that are worth a second more: a fifth of the slowest that were
+measured, JSON and messages of which no two are laid out alike. They were counted before, unpacked."""
 PASSING = ("wall time", "died")
 """Words of reasons that may not hold the next time: a busy machine, one short of memory."""
 
@@ -49,8 +51,9 @@ def ingest(log: Path, declared: IngestMap, *, sha: str, folder: Path, children: 
                       made_from=camera_hashes(declared, accept_truncated=accept_truncated))
     try:
         there = {name: (str(file), told.model_dump(mode="json")) for name, (file, told) in known.items()}
+        seen = inspect(log, accept_truncated=accept_truncated, children=children)  # what is hostile ends here
         told = children.call(conversions.convert, str(log), declared.model_dump_json(), str(folder), accept_truncated,
-                             there, where=log, limits=_limits(log))
+                             there, where=log, limits=_limits(seen))
     except RecordingError as error:
         return made.model_copy(update={"state": "quarantined", "reason": error.what, "mend": error.mend})
     except ConfigError as error:
@@ -80,8 +83,10 @@ def episodes_of(made: Conversion, declared: IngestMap) -> tuple[Ingestion, list[
     return Ingestion(id=id, conversion=made.id, declared=declared, episodes=tuple(e.id for e in episodes)), episodes
 
 
-def _limits(log: Path) -> Limits:
-    cpu_s = LEAST_S + log.stat().st_size / BYTES_A_SECOND
+def _limits(seen: Inspection) -> Limits:
+    """What converting may take, by what the log is known to hold."""
+    plain = sum(channel.bytes for channel in seen.channels)
+    cpu_s = LEAST_S + plain / BYTES_A_SECOND + seen.messages / MESSAGES_A_SECOND
     return Limits(cpu_s=cpu_s, wall_s=30 + 4 * cpu_s)
 
 

@@ -3,6 +3,8 @@
 import json
 import shutil
 import struct
+import subprocess
+import sys
 import zlib
 from datetime import date
 from pathlib import Path
@@ -88,6 +90,18 @@ def bomb(path: Path) -> Path:
     channel = struct.pack("<HH", 1, 0) + (struct.pack("<I", 1) + b"x") * 2 + bytes(4)
     parts = [(1, bytes(8)), (4, channel), *[(6, chunk + packed)] * 3000]
     path.write_bytes(b"\x89MCAP0\r\n" + b"".join(struct.pack("<BQ", op, len(c)) + c for op, c in parts))
+    return path
+
+
+def slow(path: Path) -> Path:
+    """2 MB, valid but for its end: a million messages, no two neighbours of one channel."""
+    rest = struct.pack("<I", 1) + b"x" + struct.pack("<I", 3) + b"cdr" + bytes(4)
+    channels = b"".join(struct.pack("<BQHH", 4, 4 + len(rest), k, 0) + rest for k in range(60_000))
+    plain = b"".join(struct.pack("<BQHIQQ", 5, 22, k % 60_000, 0, 1, 1) for k in range(200_000))
+    packed = zstandard.compress(plain)
+    chunk = struct.pack("<QQQII", 1, 1, len(plain), zlib.crc32(plain), 4) + b"zstd" + struct.pack("<Q", len(packed))
+    chunk = struct.pack("<BQ", 6, len(chunk + packed)) + chunk + packed
+    path.write_bytes(b"\x89MCAP0\r\n" + struct.pack("<BQ", 1, 8) + bytes(8) + channels + chunk * 12)
     return path
 
 
@@ -179,6 +193,20 @@ def test_bad_logs_are_set_aside_with_the_reason_and_the_others_go_on(ingest, wal
     assert code == 0
     assert 1 <= len(told["logs"][0]["episodes"]) <= 3
     assert any("ends early" in p for p in told["logs"][0]["problems"])
+
+
+@pytest.mark.parametrize("command", [("ingest", "--accept-truncated"), ("check",)], ids=lambda c: c[0])
+def test_a_file_that_wants_time_ends_in_either_command_within_5_s_and_512_mib(store, tmp_path, command):
+    (tmp_path / "map.yaml").write_text(yaml.safe_dump(MAP))
+    declared = ["--map", str(tmp_path / "map.yaml")] if command[0] == "ingest" else []
+    code = ("import resource, sys; from flows.cli import app\ntry: app(sys.argv[1:], standalone_mode=False)\n"
+            "except BaseException as ended: print(getattr(ended, 'what', ''))\n"
+            "used = resource.getrusage(resource.RUSAGE_CHILDREN); print(used.ru_utime + used.ru_stime, used.ru_maxrss)")
+    done = subprocess.run([sys.executable, "-c", code, *command, str(slow(tmp_path / "slow.mcap")), *declared],
+                          capture_output=True, text=True)
+    assert "time to read; quarantined" in done.stdout + done.stderr
+    seconds, kilobytes = map(float, done.stdout.splitlines()[-1].split())
+    assert seconds < 5 and kilobytes < 512 << 10
 
 
 def test_a_log_that_a_busy_machine_was_too_slow_for_is_tried_again(ingest, walk, store, monkeypatch):
