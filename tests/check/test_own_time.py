@@ -22,7 +22,8 @@ def live(demos, drawn, tmp_path):
         path = tmp_path / "live.mcap"
         recorder = LiveRecorder(path, episode.model_copy(update={"blob": None}), clock=lambda: now[0], reserve_bytes=0,
                                 attachments=read_attachments(demos[0]))
-        stamps = [EPOCH_NS + slower * round(t * 1e9 / trace.hz) + (stall_ns if t > 20 else 0) for t in range(len(trace))]
+        stamps = [EPOCH_NS + slower * round(t * 1e9 / trace.hz) + (stall_ns if t > 20 else 0)
+                  for t in range(len(trace))]
         for t, stamp in enumerate(stamps):
             row = Row(trace.state[t], trace.environment[t], trace.action[t], trace.joint_action[t],
                       sim_state=trace.sim_state[t] if simulated else np.zeros(0),
