@@ -1,4 +1,4 @@
-"""Garbage: what nothing in the catalog refers to, and the copies that lerobot makes for itself."""
+"""Garbage: what nothing in the catalog refers to, videos of no version, and copies that can be made again."""
 
 import os
 import re
@@ -12,6 +12,7 @@ from pipeline.errors import StoreError
 from pipeline.store.caches import lerobot_copies
 from pipeline.store.folder import explain, shas_in
 from pipeline.store.store import Store
+from pipeline.store.videos import linked, spare
 
 GRACE_S = 3600.0
 """Age below which nothing is garbage [s]: a running step writes files before the row that mentions them."""
@@ -87,6 +88,8 @@ def collect(store: Store, garbage: Garbage) -> int:
         for piece in garbage.pieces:
             if piece.path.name in blobs or f"{piece.path.parent.name}/{piece.path.name}" in folders:
                 continue
+            if piece.path.suffix == ".mp4" and piece.path.exists() and linked(piece.path):
+                continue
             try:
                 _delete(piece.path)
             except OSError as error:
@@ -116,6 +119,8 @@ def _candidates(store: Store, blobs: set[str], folders: set[str]) -> Iterator[Pi
                 yield _piece(entry.path, "temporary" if _TEMPORARY.fullmatch(entry.name) else name)
             else:
                 yield from _leftovers(Path(entry.path))
+    for path in spare(store.root):
+        yield _piece(str(path), "video" if path.suffix != ".npy" else "decoded frames")
     for entry in _entries(store.root / "tmp"):
         yield _piece(entry.path, "temporary")
     for entry in _entries(store.root / BROWSE):
