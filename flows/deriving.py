@@ -12,6 +12,7 @@ from flows.consents import consents_now
 from flows.material import ancestors_of
 from pipeline.check.door import Verdicts
 from pipeline.errors import ConfigError, StoreError
+from pipeline.lerobot_view.manifest import read_manifest
 from pipeline.lerobot_view.opened import FIELDS, Opened, open_version
 from pipeline.query import parse
 from pipeline.store import Store, store_root
@@ -95,7 +96,7 @@ def edits_of(order: Order, parent: Opened, others: dict[str, DatasetVersion], st
             raise ConfigError(f"version {other.id} has no episode that version {parent.version.id} lacks",
                               where=f"--add {text}", mend="see what differs: hardcase diff A B")
         edits.append(_made(Add, f"--add {text}", version=other.id, episodes=new,
-                           share=None if share is None else _number(share, f"--add {text}")))
+                           share=_usual_share(store, other) if share is None else _number(share, f"--add {text}")))
     if order.drop:
         named = dict.fromkeys(_episode(parent, e, f"--drop {e}", others) for e in order.drop)
         edits.append(Drop(episodes=tuple(named)))
@@ -117,6 +118,11 @@ def edits_of(order: Order, parent: Opened, others: dict[str, DatasetVersion], st
         raise ConfigError("nothing is to change", where=f"hardcase derive {order.version}",
                           mend="give one or more of --add, --drop, --keep-where, --trim, --relabel, --reweight")
     return edits
+
+
+def _usual_share(store: Store, version: DatasetVersion) -> float | None:
+    """The share that an imported version was given with --weight; None for any other."""
+    return read_manifest(store.path(version.path)).get("imported", {}).get("share_when_added")
 
 
 def _kept(query: str, parent: Opened, gone: set[str]) -> list[Edit]:

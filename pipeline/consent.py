@@ -15,7 +15,7 @@ from schemas.episode import Episode, Origin
 SIMULATED_ORIGINS: tuple[Origin, ...] = ("scripted", "replayed", "retargeted", "deployed", "corrected", "oracle")
 """Origins of episodes that a simulator can make alone."""
 
-DRIVEN: tuple[Origin, ...] = ("teleop", "ingested")
+DRIVEN: tuple[Origin, ...] = ("teleop", "ingested", "imported")
 """Origins of episodes whose demonstrations a person gave."""
 
 SIMULATED_ACTORS = ("expert", "stand-in")

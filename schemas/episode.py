@@ -9,7 +9,7 @@ from schemas.consent import SIMULATED
 from schemas.scene import SceneSpec
 
 type Origin = Literal["scripted", "teleop", "replayed", "retargeted", "deployed", "corrected", "oracle",
-                      "ingested"]
+                      "ingested", "imported"]
 
 VARIANTS: tuple[Origin, ...] = ("replayed", "retargeted")
 WITH_PARENT: tuple[Origin, ...] = ("replayed", "retargeted", "corrected", "oracle")

@@ -104,3 +104,20 @@ def recipe() -> Recipe:
 @pytest.fixture
 def task() -> str:
     return TASK
+
+
+@pytest.fixture
+def smooth() -> Callable[[Episode], Frames]:
+    """Gives frames that a robot could have made: slow waves, other ones for every episode, two ticks behind commands."""
+    def frames(episode: Episode) -> Frames:
+        rng, t = np.random.default_rng(int(episode.id, 16)), np.arange(episode.frames) / 20
+        waves: dict[str, tuple[float, ...]] = {}
+
+        def column(name: str, late_s: float) -> np.ndarray:
+            at, height, speed, phase = waves.setdefault(name, tuple(rng.uniform([-1, 0.2, 1, 0], [1, 0.4, 3, 6])))
+            return at + height * np.sin((t - late_s) * speed + phase)
+
+        late = {"observation.state": 0.1}
+        return Frames(*(np.stack([column(n, late.get(f, 0.0)) for n in names], axis=1).astype(np.float32)
+                        for f, names in FEATURES.items()))
+    return frames
