@@ -1,9 +1,10 @@
 """Single facts of a lineage, as text."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from json import dumps
 
 from pipeline.store.reader import Reader
+from schemas.conversion import Ingestion
 from schemas.episode import Episode
 
 FIRST = 3
@@ -33,18 +34,20 @@ def checked(store: Reader, subject: str | None) -> dict[str, str]:
     return {"check": f"{told}; {by}"}
 
 
-def foreign(store: Reader, episodes: Iterable[Episode], full: bool) -> dict[str, str]:
+def foreign_of(store: Reader, ingestions: Sequence[str], full: bool) -> dict[str, str]:
     """Where ingested episodes come from: the raw logs by hash, the maps, what was said of them, and the code."""
-    found = {i.id: i for e in episodes if (i := store.ingestion_of(e)) is not None}
+    rows = store.query("SELECT json FROM ingestion WHERE id IN (SELECT value FROM json_each(?)) ORDER BY place",
+                       (dumps(list(ingestions)),)) if ingestions else []
+    found = [Ingestion.model_validate_json(str(text)) for (text,) in rows]
     if not found:
         return {}
-    made_by = [c for i in found.values() if (c := store.conversion(i.conversion)) is not None]
+    made_by = [c for i in found if (c := store.conversion(i.conversion)) is not None]
     logs = [log for c in made_by if (log := store.raw_log(c.log)) is not None]
     told = {
         "logs": [f"{log.id if full or len(logs) == 1 else log.id[:12]} ({log.source}, {log.size_bytes} B)"
                  for log in logs],
         "maps": [f"{i.declared.name} (robot {i.declared.robot}, operator {i.declared.operator or 'not told'}, "
-                 f"site {i.declared.site or 'not told'})" for i in found.values()],
+                 f"site {i.declared.site or 'not told'})" for i in found],
         "conversions": [f"{c.id} (code {c.code if full else c.code[:12]})" for c in made_by],
     }
     return {name: some(list(dict.fromkeys(lines)), full) for name, lines in told.items()}
@@ -86,15 +89,6 @@ def releases(store: Reader, policy: str) -> dict[str, str]:
     """When and in which run a policy became the champion."""
     rows = store.query("SELECT run, number, json_extract(json, '$.kind') FROM release WHERE policy = ?", (policy,))
     return {"released": ", ".join(f"number {n} of run {run} ({kind})" for run, n, kind in rows)} if rows else {}
-
-
-def draw_ranges(episodes: Iterable[Episode]) -> str:
-    """Smallest and largest value of every randomization, with its unit."""
-    values: dict[tuple[str, str], list[float]] = {}
-    for e in episodes:
-        for d in e.scene.draws:
-            values.setdefault((d.name, d.unit), []).append(d.value)
-    return ", ".join(f"{name} {min(v):.4g} to {max(v):.4g}{unit_of(unit)}" for (name, unit), v in values.items())
 
 
 def unit_of(unit: str) -> str:

@@ -48,12 +48,12 @@ def graph_of(store: Reader, kind: str, id: str, *, back: bool = True, forward: b
         kind, id: the thing.
         back, forward: which ways to go.
     """
-    walk = _Walk(store)
+    walk = _Walk(store, (kind, id))
     walk.add(kind, [id])
     for wanted, relations, backward in ((back, BACK, True), (forward, FORWARD, False)):
         if wanted:
-            walk.spread(kind, id, relations, backward=backward)
-    return walk.graph((kind, id))
+            walk.spread(relations, backward=backward)
+    return walk.graph()
 
 
 def in_order(graph: Graph) -> list[Node]:
@@ -72,56 +72,59 @@ def in_order(graph: Graph) -> list[Node]:
 @dataclass
 class _Walk:
     store: Reader
-    group: dict[tuple[str, str], str] = field(default_factory=dict[tuple[str, str], str])
-    """Kind and id -> key of the group."""
-    edges: dict[tuple[tuple[str, str], tuple[str, str]], None] = field(
-        default_factory=dict[tuple[tuple[str, str], tuple[str, str]], None])
+    focus: tuple[str, str]
+    """Kind and id of the thing that was asked about: a group of its own."""
+    keys: dict[str, dict[str, str]] = field(default_factory=dict[str, dict[str, str]])
+    """Kind -> id -> key of the group."""
+    groups: dict[str, str] = field(default_factory=dict[str, str])
+    """Key -> kind, in the order of finding."""
+    edges: dict[tuple[str, str], None] = field(default_factory=dict[tuple[str, str], None])
+    """Keys of cause and effect."""
     cut: bool = False
 
-    def add(self, kind: str, ids: Iterable[str]) -> list[str]:
-        """Take things in and give those that are new."""
-        new = [id for id in dict.fromkeys(ids) if (kind, id) not in self.group]
-        self.group |= {(kind, id): key for id, key in _keys(self.store, kind, new).items()}
-        return [id for id in new if (kind, id) in self.group]
+    def add(self, kind: str, ids: Iterable[str]) -> dict[str, str]:
+        """Take things in; the keys of everything of this kind."""
+        known = self.keys.setdefault(kind, {})
+        if new := [id for id in dict.fromkeys(ids) if id not in known]:
+            known |= _keys(self.store, kind, new)
+            if kind == self.focus[0] and self.focus[1] in new:
+                known[self.focus[1]] = f"focus {self.focus[1]}"
+            self.groups |= dict.fromkeys((known[id] for id in new if id in known), kind)
+        return known
 
-    def spread(self, kind: str, id: str, relations: Mapping[str, tuple[Relation, ...]], *, backward: bool) -> None:
+    def spread(self, relations: Mapping[str, tuple[Relation, ...]], *, backward: bool) -> None:
         """Follow relations until nothing new is found, or enough is."""
-        wave, seen, before = {kind: [id]}, {(kind, id)}, len(set(self.group.values()))
+        kind, id = self.focus
+        wave, seen, before = {kind: {id: None}}, {kind: {id}}, len(self.groups)
         while wave:
-            if len(set(self.group.values())) - before > MOST:
+            if len(self.groups) - before > MOST:
                 self.cut = True
                 return
             grown: dict[str, dict[str, None]] = {}
             for from_kind, ids in wave.items():
                 for to, sql in relations.get(from_kind, ()):
-                    pairs = [(str(a), str(b)) for a, b in self.store.query(sql, (dumps(ids),))]
-                    self.add(to, (b for _, b in pairs))
-                    for a, b in pairs:
-                        if (to, b) in self.group:
-                            ends = ((to, b), (from_kind, a)) if backward else ((from_kind, a), (to, b))
-                            self.edges[ends] = None
-                            if (to, b) not in seen:
-                                seen.add((to, b))
-                                grown.setdefault(to, {})[b] = None
-            wave = {to: list(ids) for to, ids in grown.items()}
+                    pairs = [(str(a), str(b)) for a, b in self.store.query(sql, (dumps([*ids]),))]
+                    here, there = self.keys[from_kind], self.add(to, (b for _, b in pairs))
+                    joined = dict.fromkeys((here[a], there[b]) for a, b in pairs if b in there)
+                    self.edges |= dict.fromkeys((b, a) if backward else (a, b) for a, b in joined)
+                    fresh = dict.fromkeys(b for _, b in pairs if b in there and b not in seen.setdefault(to, set()))
+                    seen.setdefault(to, set()).update(fresh)
+                    grown.setdefault(to, {}).update(fresh)
+            wave = {to: ids for to, ids in grown.items() if ids}
 
-    def graph(self, focus: tuple[str, str]) -> Graph:
+    def graph(self) -> Graph:
         """The groups with their words, and the arrows between them."""
-        members: dict[str, list[str]] = {}
-        kinds: dict[str, str] = {}
-        crowd = Counter(key.rpartition(" ")[0] for key in set(self.group.values()) if key.startswith("="))
-        keys: dict[tuple[str, str], str] = {}
-        for (kind, id), key in self.group.items():
-            if (kind, id) == focus:
-                key = f"focus {id}"
-            elif key.startswith("=") and crowd[key.rpartition(" ")[0]] > ALONE:
-                key = key.rpartition(" ")[0]
-            keys[kind, id] = key
-            members.setdefault(key, []).append(id)
-            kinds[key] = kind
+        crowd = Counter(key.rpartition(" ")[0] for key in self.groups if key.startswith("="))
+        final = {key: key.rpartition(" ")[0] if crowd[key.rpartition(" ")[0]] > ALONE and key.startswith("=") else key
+                 for key in self.groups}
+        members: dict[str, list[str]] = {final[key]: [] for key in self.groups}
+        for known in self.keys.values():
+            for id, key in known.items():
+                members[final[key]].append(id)
+        kinds = {final[key]: kind for key, kind in self.groups.items()}
         nodes = [Node(key, kinds[key], tuple(ids), *describe(self.store, kinds[key], ids),
                       focus=key.startswith("focus ")) for key, ids in members.items()]
-        edges = dict.fromkeys((keys[a], keys[b]) for a, b in self.edges if keys[a] != keys[b])
+        edges = dict.fromkeys((final[a], final[b]) for a, b in self.edges if final[a] != final[b])
         return Graph(tuple(_told(n) for n in nodes), tuple(edges), self.cut)
 
 

@@ -1,16 +1,13 @@
 """Why a thing is as it is: from any id back to recordings, draws, seeds, code and config, and forward to its users."""
 
 import re
-from collections import Counter
 from collections.abc import Callable, Sequence
 from types import MappingProxyType
 
 from pipeline.files import sha256
 from pipeline.store.facts import (
     checked,
-    codes,
-    draw_ranges,
-    foreign,
+    foreign_of,
     lost,
     made,
     outcome,
@@ -20,6 +17,8 @@ from pipeline.store.facts import (
     users,
 )
 from pipeline.store.graph import graph_of, in_order
+from pipeline.store.groups import Record, group_facts, records
+from pipeline.store.ingests import INGEST
 from pipeline.store.origins import tell_check, tell_consent, tell_conversion, tell_erased
 from pipeline.store.reader import Reader
 from pipeline.store.records import RunInfo
@@ -88,10 +87,10 @@ def _policy(store: Reader, id: str, full: bool) -> Lineage:
 
 def _version(store: Reader, id: str, full: bool, role: str = "") -> Lineage:
     v = store.version(id)
-    episodes = store.episodes(v.episodes)
-    by_origin: dict[str, list[Episode]] = {}
+    episodes = records(store, v.episodes)
+    by_origin: dict[str, list[Record]] = {}
     for e in episodes:
-        by_origin.setdefault(e.origin, []).append(e)
+        by_origin.setdefault(e["origin"], []).append(e)
     facts = {
         "recipe": v.recipe, "generation": str(v.generation), "digest": v.digest, "code": v.code,
         "episodes": f"{len(episodes)} ({v.frames} frames), {len(v.held_out)} held out",
@@ -104,31 +103,12 @@ def _version(store: Reader, id: str, full: bool, role: str = "") -> Lineage:
     return Lineage(kind="version", id=id, role=role, facts=facts, children=tuple(groups))
 
 
-def _group(store: Reader, origin: str, episodes: Sequence[Episode], full: bool) -> Lineage:
-    seeds = [e.scene.seed for e in episodes]
-    parents = list(dict.fromkeys(e.parent for e in episodes if e.parent))
-    facts = {
-        "episodes": f"{len(episodes)}, {sum(e.frames for e in episodes)} frames",
-        "strata": ", ".join(f"{name} {n}" for name, n in Counter(e.scene.stratum for e in episodes).most_common()),
-        "seeds": f"{min(seeds)} to {max(seeds)} ({', '.join(sorted({e.scene.family for e in episodes}))})",
-    }
-    if draws := draw_ranges(episodes):
-        facts["draws"] = draws
-    if transforms := sorted({e.transform for e in episodes if e.transform}):
-        facts["made by"] = some(transforms, full)
-    if actors := sorted({e.policy for e in episodes if e.policy}):
-        facts["acted"] = ", ".join(f"policy {id}" for id in actors)
-    if parents:
-        facts["parents"] = f"{len(parents)}: {some(parents, full)}"
-    facts |= foreign(store, episodes, full)
-    if code := codes(store, [e.id for e in episodes]):
-        facts["code"] = code
-    blobs = list(dict.fromkeys(e.blob for e in [*episodes, *store.episodes(parents)] if e.blob))
-    if blobs:
-        facts["recordings"] = f"{len(blobs)}: {some([b if full else b[:12] for b in blobs], full)}"
+def _group(store: Reader, origin: str, episodes: Sequence[Record], full: bool) -> Lineage:
+    facts = group_facts(store, episodes, full)
     if full:
-        return Lineage(kind="group", id=origin, facts=facts, children=tuple(_episode_line(e) for e in episodes))
-    return Lineage(kind="group", id=origin, facts=facts | {"ids": some([e.id for e in episodes], full)})
+        return Lineage(kind="group", id=origin, facts=facts,
+                       children=tuple(_episode_line(Episode.model_validate(e)) for e in episodes))
+    return Lineage(kind="group", id=origin, facts=facts | {"ids": some([e["id"] for e in episodes], full)})
 
 
 def _episode_line(e: Episode, role: str = "") -> Lineage:
@@ -154,7 +134,8 @@ def _episode(store: Reader, id: str, full: bool, role: str = "", forward: bool =
     children = [_hard_case_line(store, c.id) for c in cases]
     if e.parent:
         children.append(_episode(store, e.parent, full, "parent", forward=False))
-    facts = node.facts | foreign(store, [e], full) | made(store, "episode", id) | checked(store, e.blob)
+    came = [(e.transform or "").removeprefix(INGEST)] if e.origin == "ingested" else []
+    facts = node.facts | foreign_of(store, came, full) | made(store, "episode", id) | checked(store, e.blob)
     if forward:
         children += _runs(store, "episode", id, full)
         facts |= users(store, id, full)

@@ -2,9 +2,11 @@
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from json import dumps, loads
+from json import dumps
 from types import MappingProxyType
 from typing import Any
+
+import orjson
 
 from pipeline.store.reader import Reader
 
@@ -45,7 +47,7 @@ def describe(store: Reader, kind: str, ids: Sequence[str]) -> Told:
 def _json(store: Reader, table: str, ids: Sequence[str]) -> list[dict[str, Any]]:
     rows = store.query(f"SELECT json FROM {table} WHERE id IN (SELECT value FROM json_each(?))",
                        (dumps(list(ids[:SAMPLE])),))
-    return [loads(str(text)) for (text,) in rows]
+    return [orjson.loads(str(text)) for (text,) in rows]
 
 
 _SINGLE: MappingProxyType[str, str] = MappingProxyType({"checked": "check verdict", "raw_log": "raw log"})
