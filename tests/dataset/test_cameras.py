@@ -14,7 +14,7 @@ import pytest
 from pipeline.errors import ConfigError, DatasetError
 from pipeline.lerobot_view.clips import Clips, key_of
 from pipeline.lerobot_view.filmed import clips_in
-from pipeline.lerobot_view.video import decoded
+from pipeline.lerobot_view.video import decoded, encode
 from schemas.recipe import CameraConfig, DatasetConfig
 from stages.build import build, load_version
 
@@ -61,6 +61,14 @@ def test_two_builds_agree_in_id_and_every_byte(make, demos, tmp_path):
     one, two = make(demos, store=tmp_path / "1"), make(demos, store=tmp_path / "2")
     assert one == two
     assert contents(tmp_path / "1" / one.path) == contents(tmp_path / "2" / two.path)
+
+
+def test_the_encoder_gives_the_same_bytes_at_every_level_of_parallelism(footage, demos, tmp_path):
+    written = []
+    for level in (1, 2, 4, None):
+        encode(footage(demos[2], "front").pictures(), tmp_path / "x.mp4", fps=20, where="here", parallel=level)
+        written.append((tmp_path / "x.mp4").read_bytes())
+    assert len(set(written)) == 1
 
 
 def test_statistics_are_those_of_every_pixel(make, demos, footage, tmp_path):
