@@ -6,6 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from flows.browse_imported import imported
 from flows.browse_ingested import ingested
 from pipeline.browsing.attempts import of_frames, of_trace
 from pipeline.browsing.recording import of_recording
@@ -42,6 +43,8 @@ class Showing:
             return of_frames(episode, self._variant(episode), self._of_parent(episode)), {}
         if episode.origin == "ingested":
             return ingested(self._store, episode), {}
+        if episode.origin == "imported":
+            return imported(self._store, episode), {}
         shown, opened = of_recording(self._store.blob(_blob(episode)), episode)
         topics = opened.decoder.topics
         watched = opened.decoder.trace().shadows if any(t.startswith("/policy/") for t in topics) else {}
@@ -49,7 +52,7 @@ class Showing:
 
     def observed(self, episode: Episode) -> tuple[Rows, Rows] | None:
         """What a policy of the arm saw at every tick: state (m, 16) and environment (m, 7); None for other robots."""
-        if episode.origin == "ingested":
+        if episode.scene.family == "foreign":
             return None
         if episode.origin in VARIANTS:
             frames = self._variant(episode)
