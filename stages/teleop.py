@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.errors import HardcaseError, RecordingError
+from pipeline.frames import ACTION
 from pipeline.protocols import Array, Call, Command, LiveRobot, Observation
 from pipeline.recording.live import Closed, LiveRecorder
 from pipeline.recording.live_header import beginning
-from pipeline.recording.live_rows import Row
+from pipeline.recording.live_rows import Row, joint_targets
 from pipeline.robots.hand import Hand
 from pipeline.robots.session import Controls, SceneOf, Session, Status, Who
 from pipeline.simulation.recordings import episode_id
@@ -136,6 +137,9 @@ class _Attempt:
         self._hand.act(action, observation)
         if self._hand.note and self._hand.note != noted:
             recorder.event("limit", self._hand.note, level=30, tick=tick)
+        if self._hand.note and (names := robot.signals.action) != ACTION:  # a robot that is commanded by its joints
+            asked = joint_targets(names, action.astype(np.float64), stamp_ns)
+            recorder.write("/joint_commands/asked", asked, tick=tick, stamp_ns=stamp_ns)
         recorder.tick(tick, self._row(), stamp_ns=stamp_ns)
         self._session.show(Status(self._number, (tick + 1) / robot.control_hz, self._who, observation, self._note()))
         return self._ended(command, tick)

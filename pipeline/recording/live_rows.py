@@ -1,5 +1,6 @@
 """One tick of a robot as the bytes of all its messages: laid out once, filled in place every tick."""
 
+import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import accumulate, pairwise
@@ -133,6 +134,16 @@ def joint_layout(names: Sequence[str], *, velocity: bool = False, effort: bool =
     return TickLayout([
         ("/joint_states", cdr.joint_state(names, velocity=velocity, effort=effort), np.arange(parts * n)),
         ("/joint_commands", cdr.joint_state(names, velocity=False, effort=False), np.arange(n) + parts * n)])
+
+
+def joint_targets(names: Sequence[str], values: Vector, ns: int) -> bytes:
+    """One sensor_msgs/JointState of positions, shape (len(names),), stamped `ns`."""
+    layout = cdr.joint_state(names, velocity=False, effort=False)
+    payload = bytearray(layout.template)
+    struct.pack_into("<iI", payload, layout.stamps[0], *divmod(ns, 1_000_000_000))
+    for offset, count in layout.floats:
+        struct.pack_into(f"<{count}d", payload, offset, *values)
+    return bytes(payload)
 
 
 class RowLayout(TickLayout):

@@ -154,6 +154,10 @@ def test_a_leader_far_from_its_robot_is_followed_at_the_largest_step(order, hand
     assert sent[:4] == pytest.approx([13, 16, 19, 22]) and sent[-1] == 90
     events = said(path, "/events")
     assert events[0].msg == "limited " + ", ".join(f"{name}.pos" for name in SIX)
+    asked = said(path, "/joint_commands/asked")
+    cut = sent[:-1] != 90  # what was asked for is recorded where it is not what was sent
+    assert 0 < len(asked) <= cut.sum() + 1 < len(sent)
+    assert asked[0].name == [f"{name}.pos" for name in SIX] and list(asked[0].position) == [90] * len(SIX)
 
 
 def test_a_nan_of_a_device_never_reaches_the_motors_and_ends_the_attempt(order, hand, store):
