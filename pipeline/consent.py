@@ -120,7 +120,8 @@ class Consents:
         """The one error of every door."""
         kind = "no" if flaw.record is None else "no valid"
         mend = "leave the episode out, " + (
-            "or have the person consent first: hardcase consent add, then record with --consent"
+            "or have the person consent first: hardcase consent add, then record with --consent; "
+            "of a foreign log, name it in the map: consent, operator"
             if flaw.record is None else f"or look at the record: hardcase consent show {flaw.record}")
         return ConsentError(f"episode {episode} has {kind} consent record; it cannot be used for {self.purpose}",
                             where=where, mend=mend)

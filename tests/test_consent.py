@@ -66,7 +66,7 @@ def test_an_episode_without_a_record_is_refused_in_the_promised_words(bad, conse
         "episode 0000000000000001 has no consent record; it cannot be used for training",
         f"  at:   episode 0000000000000001: its consent is {consent!r}",
         "  mend: leave the episode out, or have the person consent first: hardcase consent add, then record with "
-        "--consent",
+        "--consent; of a foreign log, name it in the map: consent, operator",
     ]
 
 

@@ -56,8 +56,13 @@ def first_map(name: str, seen: Survey) -> str:
     lines = [f"# A first map for {_plain(name)}, guessed from names, types and shapes: read it before you use it.",
              f"# Then: hardcase ingest {_plain(name)} --map THIS_FILE", "#", *_table(seen), "",
              f"name: {stem}", "robot: robot  # say which", "task: unknown  # say what the robot was asked to do",
-             *guess.rates(), *guess.clocks(), "", "features:", *guess.features(), *guess.cameras(), *guess.episodes()]
+             *guess.rates(), *guess.clocks(), "", "features:", *guess.features(), *guess.cameras(), *guess.episodes(),
+             *_CONSENT]
     return "\n".join(lines) + "\n"
+
+
+_CONSENT = ("# Nothing is learnt from a log until whoever drove has consented: hardcase consent add",
+            "# consent: form-12  # id of the record", "# operator: op-7  # the pseudonym in it")
 
 
 class _Guess:
