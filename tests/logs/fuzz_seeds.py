@@ -13,7 +13,7 @@ from pipeline.trace import Trace
 from schemas.episode import Episode, Outcome, Segment
 from schemas.scene import SceneSpec
 
-SHARED = Path("/work/shared/logs")
+SHARED = Path(__file__).parents[3] / "shared/logs"
 EPOCH_NS = 1_700_000_000_000_000_000
 
 

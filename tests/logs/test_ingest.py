@@ -23,7 +23,7 @@ from pipeline.store.gc import unreferenced
 from schemas.consent import Consent
 
 JOINTS, IMAGE = "sensor_msgs/msg/JointState", "sensor_msgs/msg/CompressedImage"
-REAL = Path("/work/shared/logs")
+REAL = Path(__file__).parents[3] / "shared/logs"
 MAP = {
     "name": "theirs", "robot": "g1", "task": "walk to the door", "fps": 20,
     "features": {"observation.state": {"topic": "/joints", "fields": ["position"], "joints": ["hip", "knee"]},

@@ -16,7 +16,7 @@ from pipeline.errors import RecordingError
 from pipeline.logs.stream import LATEST_NS, open_log
 
 EPOCH_NS = 1_700_000_000_000_000_000
-SHARED = Path("/work/shared/logs")
+SHARED = Path(__file__).parents[3] / "shared/logs"
 
 
 def write(path: Path, messages: int = 300, **options: object) -> Path:

@@ -65,6 +65,18 @@ def test_pictures_give_way_before_the_robot_does(tmp_path, trace, start, row):
         recorder.close()
 
 
+def test_the_disk_is_told_to_keep_what_it_has_while_the_recording_goes_on(tmp_path, trace, start, row):
+    """The .part is a pipe, which takes every write and cannot be synced: only who syncs hears of it."""
+    os.mkfifo(tmp_path / "a.mcap.part")
+    with LiveRecorder(tmp_path / "a.mcap", start(), attachments={}, reserve_bytes=0) as recorder:
+        recorder.tick(0, row(trace(), 0))
+        end = time.monotonic() + 20
+        while not recorder.failed and time.monotonic() < end:
+            time.sleep(0.05)
+        with pytest.raises(RecordingError, match=r"recording stopped: Invalid argument[\s\S]*hardcase recover"):
+            recorder.close()
+
+
 def test_the_control_thread_does_not_wait_for_a_disk_that_hangs(tmp_path, trace, start, row):
     """The .part is a pipe that nobody reads: a write into it hangs once 64 KiB are in it."""
     os.mkfifo(tmp_path / "a.mcap.part")
