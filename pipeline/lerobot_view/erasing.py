@@ -73,22 +73,21 @@ def erase(folder: Path, loss: Loss, aside: Path) -> DatasetVersion:
 
 
 def lost_videos(folder: Path, hashes: Collection[str]) -> Iterator[Path]:
-    """Encoded videos of a store, and the notes on them, that were made from lost files; see clips.py.
+    """Encoded videos of a store that no version has a link to, and the notes on them or on lost files; see clips.py.
 
-    Videos that no note speaks of are among them: a killed encoder left them, and nobody can say from what.
+    After an erasure those of its episodes are among them. What is taken too much is encoded again when it is needed.
     """
-    kept = set[str]()
+    videos = sorted(folder.glob("*.mp4"))
+    lost = {file.stem for file in videos if file.stat().st_nlink == 1}
     for note in sorted(folder.glob("*.json")):
         try:
             told: dict[str, Any] = json.loads(note.read_bytes())
-            source, sha = str(told["source"]), str(told["sha256"])
+            names = {*str(told["source"]).split(), str(told["sha256"])}
         except (ValueError, KeyError, TypeError):
-            source, sha = "", ""
-        if not source or not set(source.split()).isdisjoint(hashes):
+            names = set(hashes)
+        if not names.isdisjoint({*hashes, *lost}):
             yield note
-        else:
-            kept.add(sha)
-    yield from (file for file in sorted(folder.glob("*.mp4")) if file.stem not in kept)
+    yield from (file for file in videos if file.stem in lost)
     yield from sorted(folder.glob(".*"))
 
 

@@ -126,9 +126,9 @@ def _files(store: Reader, episodes: list[str], logs: list[str], conversions: lis
     shards = _column(store, "SELECT DISTINCT blob FROM episode WHERE blob IN (SELECT value FROM json_each(?))"
                             " AND id NOT IN (SELECT value FROM json_each(?))", held, dumps(episodes))
     made = _column(store, "SELECT DISTINCT value FROM conversion, json_each(conversion.json, '$.files')"
-                          " WHERE id IN (SELECT value FROM json_each(?))", conversions)
+                          " WHERE conversion.id IN (SELECT value FROM json_each(?))", conversions)
     others = _column(store, "SELECT DISTINCT value FROM conversion, json_each(conversion.json, '$.files')"
-                            " WHERE id NOT IN (SELECT value FROM json_each(?))", conversions)
+                            " WHERE conversion.id NOT IN (SELECT value FROM json_each(?))", conversions)
     stay = {*others, *shards}
     return list(dict.fromkeys(b for b in (*held, *logs, *made) if b not in stay)), shards
 

@@ -19,7 +19,7 @@ ORIGINS: MappingProxyType[str, tuple[str, str]] = MappingProxyType({
     "retargeted": ("variant, carried over", "variants, carried over"),
     "deployed": ("attempt at work", "attempts at work"), "corrected": ("correction", "corrections"),
     "oracle": ("correction by the oracle", "corrections by the oracle"),
-    "ingested": ("ingested episode", "ingested episodes"),
+    "ingested": ("ingested episode", "ingested episodes"), "imported": ("imported episode", "imported episodes"),
 })
 """Origin -> what one episode and many are called."""
 
@@ -56,7 +56,7 @@ _SINGLE: MappingProxyType[str, str] = MappingProxyType({"checked": "check verdic
 def _episodes(store: Reader, ids: Sequence[str]) -> Told:
     rows = _json(store, "episode", ids)
     first = rows[0]
-    one, many = ORIGINS[first["origin"]]
+    one, many = ORIGINS.get(first["origin"], (first["origin"], first["origin"]))
     generation = f"generation {first['generation']}"
     if len(ids) == 1:
         scene, draws = first["scene"], len(first["scene"]["draws"])
