@@ -10,11 +10,13 @@ import av
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+import yaml
 
 from pipeline.errors import ConfigError, DatasetError
 from pipeline.lerobot_view.clips import Clips, key_of
 from pipeline.lerobot_view.filmed import clips_in
 from pipeline.lerobot_view.video import decoded, encode
+from pipeline.recipes import recipe_from
 from schemas.recipe import CameraConfig, DatasetConfig
 from stages.build import build, load_version
 
@@ -204,3 +206,26 @@ def test_a_note_without_its_video_is_made_again(footage, demos, tmp_path):
     again = clips.clip(footage(demos[0], "front"), wanted, **how)
     assert again.file.read_bytes() == whole and again.sha256 == one.sha256
     assert sorted(p.suffix for p in clips.folder.iterdir()) == [".json", ".mp4"] and not (tmp_path / "part").exists()
+
+
+def test_the_page_shows_a_recipe_and_imports_that_work():
+    page = (ROOT / "docs/cameras.md").read_text(encoding="utf-8")
+    shown = yaml.safe_load(page.split("```yaml\n")[1].split("```")[0])["dataset"]
+    assert set(DatasetConfig.model_validate(shown).cameras) == {"front", "wrist", "top"}
+    lines = [line for line in page.split("```python\n")[1].split("```")[0].split("\n") if line.startswith("from ")]
+    for _, module, _, name in map(str.split, lines):
+        assert name in (ROOT / f"{module.replace('.', '/')}.py").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(("camera", "rule"), [
+    ({"width": 65, "height": 64}, "multiple of 2"), ({"width": 64}, "give both or none"),
+    ({"crop": [0, 0, 0, 5]}, "width and height 1 or more"), ({"width": 8, "height": 8}, "greater than or equal to 16"),
+])
+def test_a_camera_that_cannot_be_is_refused_by_the_recipe(camera, rule):
+    with pytest.raises(ConfigError, match=rule) as error:
+        recipe_from({"name": "x", "dataset": {"cameras": {"front": camera}}}, "x.yaml")
+    assert "schemas/recipe.py" in error.value.mend
+
+
+def test_a_recipe_without_cameras_says_what_it_always_said():
+    assert "cameras" not in DatasetConfig().model_dump(mode="json")
