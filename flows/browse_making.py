@@ -5,8 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-import numpy as np
-
 from flows.browse_material import Showing
 from pipeline.browsing.cache import Cache
 from pipeline.browsing.catalog import Entry
@@ -67,7 +65,7 @@ class Making:
                 with self._cache.making(shadow) as part:
                     shadows(part, episode.id, shown.seconds, watched)
             with self._cache.making(names) as part:
-                part.write_text(outline(shown).model_dump_json())
+                part.write_text(outline(shown, watched).model_dump_json())
         if not self._cache.has(said):
             with self._cache.making(said) as part:
                 labels(part, episode, note)
@@ -137,7 +135,7 @@ class Making:
             return None
         state, environment = observed
         assert state.shape[1] == len(STATE) and environment.shape[1] == len(ENVIRONMENT) and len(ACTION) == 5
-        seconds = shown.seconds if shown is not None else np.arange(len(state)) / episode.control_hz
+        seconds = (shown if shown is not None else self._showing.episode(episode)[0]).seconds
         with self._cache.making(path) as part:
             predictions(part, episode.id, seconds, state, policy.chunks(Observation(state, environment)))
         return path

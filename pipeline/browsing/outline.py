@@ -25,9 +25,10 @@ class Outline(Frozen):
         return {folder: list(plots) for folder, plots in found.items()}
 
 
-def outline(shown: Shown) -> Outline:
-    """The names of everything that is drawn of an attempt."""
-    return Outline(lines=tuple(shown.lines), bodies=bool(shown.bodies), cameras=tuple(shown.pictures),
+def outline(shown: Shown, watched: Iterable[str] = ()) -> Outline:
+    """The names of everything that is drawn of an attempt, and of the shadow policies that watched it."""
+    apart = tuple(f"shadow/{policy[:8]}" for policy in watched)
+    return Outline(lines=(*shown.lines, *apart), bodies=bool(shown.bodies), cameras=tuple(shown.pictures),
                    states=tuple(shown.states), events=bool(shown.events))
 
 
