@@ -1,6 +1,6 @@
 """The episodes table of a derived version: that of its sources, with what changed put in its place."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrow import lists, pa, scalars, texts
-from pipeline.footage import FEATURE
 from pipeline.lerobot_view import filmed
 from pipeline.lerobot_view.exact import MEASURES
 from pipeline.lerobot_view.filmed import ByCamera
@@ -28,24 +27,19 @@ def write_derived_episodes(path: Path, plan: Plan, numbers: NDArray[np.int64], m
         clips: the videos.
     """
     table = _taken(plan)
+    columns: dict[str, Any] = dict(zip(table.column_names, table.columns, strict=True))
     changed: dict[str, Any] = _counted(plan, numbers) | {
         "outcome": texts(plan.outcome), "trigger": texts(plan.trigger), "family": texts(plan.family),
         "segments": texts(plan.segments), "split": texts(plan.split), "group": texts(plan.weighed.groups),
         "weight": scalars(plan.weighed.weights)}
     if len(measures):
-        changed |= _statistics(table, plan, measures)
+        changed |= _statistics(columns, plan, measures)
     if clips:
-        names = {FEATURE + camera for camera in clips}
-        table = table.drop_columns([c for c in table.column_names if c.split("/")[1:2] and c.split("/")[1] in names])
         changed |= filmed.episode_columns(clips, plan.draft.parent.fps)
-    for name, column in changed.items():
-        if name in table.column_names:
-            place = table.column_names.index(name)
-            table = table.set_column(place, name, _cast(column, table.schema.field(place).type))
-        else:
-            table = table.append_column(name, column)
+    columns |= {name: _cast(column, columns[name].type) if name in columns else column
+                for name, column in changed.items()}
     path.parent.mkdir(parents=True, exist_ok=True)
-    pa.parquet.write_table(table, path)
+    pa.parquet.write_table(pa.table(columns), path)
 
 
 def _taken(plan: Plan) -> Any:
@@ -72,22 +66,21 @@ def _counted(plan: Plan, numbers: NDArray[np.int64]) -> dict[str, Any]:
         "meta/episodes/chunk_index": zeros, "meta/episodes/file_index": zeros}
 
 
-def _statistics(table: Any, plan: Plan, measures: NDArray[np.float64]) -> dict[str, Any]:
+def _statistics(before: Mapping[str, Any], plan: Plan, measures: NDArray[np.float64]) -> dict[str, Any]:
     """Statistics of the episodes that were moved, after those of the ones that were not."""
     columns: dict[str, Any] = {}
     first = 0
     for name, width in plan.draft.parent.widths.items():
         for k, measure in enumerate(MEASURES):
             new = lists(scalars(measures[:, k, first:first + width].reshape(-1)), width)
-            columns[f"stats/{name}/{measure}"] = _after(table, f"stats/{name}/{measure}", plan.head, new)
+            columns[f"stats/{name}/{measure}"] = _after(before[f"stats/{name}/{measure}"], plan.head, new)
         counts = lists(scalars(plan.lengths[plan.head:]), 1)
-        columns[f"stats/{name}/count"] = _after(table, f"stats/{name}/count", plan.head, counts)
+        columns[f"stats/{name}/count"] = _after(before[f"stats/{name}/count"], plan.head, counts)
         first += width
     return columns
 
 
-def _after(table: Any, name: str, head: int, new: Any) -> Any:
-    old = table.column(name)
+def _after(old: Any, head: int, new: Any) -> Any:
     parts: Sequence[Any] = old.slice(0, head).chunks
     return pa.chunked_array([*parts, _cast(new, old.type)], type=old.type)
 

@@ -112,4 +112,4 @@ def video_file(camera: str, number: int) -> str:
 
 def files_in(folder: Path) -> Iterable[Path]:
     """Every file below the folder, sorted by relative path."""
-    return sorted((p for p in folder.rglob("*") if not p.is_dir()), key=lambda p: p.relative_to(folder).as_posix())
+    return sorted((p for p in folder.rglob("*") if not p.is_dir()), key=Path.as_posix)  # all begin with the folder

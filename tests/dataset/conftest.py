@@ -108,7 +108,7 @@ def task() -> str:
 
 @pytest.fixture
 def smooth() -> Callable[[Episode], Frames]:
-    """Gives frames that a robot could have made: slow waves, other ones for every episode, two ticks behind commands."""
+    """Gives frames that a robot could have made: slow waves, two ticks behind their commands."""
     def frames(episode: Episode) -> Frames:
         rng, t = np.random.default_rng(int(episode.id, 16)), np.arange(episode.frames) / 20
         waves: dict[str, tuple[float, ...]] = {}

@@ -1,7 +1,6 @@
 """Versions that are derived from others: what is shared, what changes, what is refused."""
 
 import json
-import os
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -95,7 +94,7 @@ def test_a_trim_of_a_trim_counts_from_what_is_left(base, frames, tmp_path):
 
 def test_a_trim_that_cuts_off_the_intervention_is_refused(base, tmp_path):
     version, episodes = base
-    with pytest.raises(DatasetError, match="hold nothing of the intervention(.|\n)*trim around the intervention"):
+    with pytest.raises(DatasetError, match=r"hold nothing of the intervention(.|\n)*trim around the intervention"):
         derive(version, [Trim(episode=episodes[10].id, start=0, stop=5)], store=tmp_path)
 
 
@@ -157,7 +156,7 @@ def test_an_edit_that_cannot_be_done_is_refused(base, tmp_path, edit, words):
 
 def test_a_parent_that_was_changed_is_refused(base, tmp_path):
     version, episodes = base
-    os.chmod(tmp_path / version.path / DATA, 0o644)
+    (tmp_path / version.path / DATA).chmod(0o644)
     (tmp_path / version.path / DATA).write_bytes(b"nothing")
-    with pytest.raises(DatasetError, match="was changed after the version was built(.|\n)*rm -r"):
+    with pytest.raises(DatasetError, match=r"was changed after the version was built(.|\n)*rm -r"):
         derive(version, [Drop(episodes=(episodes[0].id,))], store=tmp_path)
