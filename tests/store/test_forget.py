@@ -1,5 +1,6 @@
 """Forgetting an episode: no byte of it is found again, and everything else is as it was."""
 
+import time
 import warnings
 from datetime import UTC, datetime
 
@@ -185,3 +186,18 @@ def test_what_cannot_be_forgotten_is_said_in_one_error(lived, root, name, messag
     asked = {"policy": lived.policy, "case": case, "twice": lived.demo, "nothing": "0" * 16, "words": "../../x"}[name]
     with pytest.raises(StoreError, match=message):
         gone(root, asked)
+
+
+def test_what_somebody_writes_now_is_not_deleted_under_them(lived, root, children):
+    def write():
+        with (root / "tmp/growing").open("wb"):
+            (root / "tmp/ready").touch()
+            time.sleep(60)
+
+    child = children(write)
+    while not (root / "tmp/ready").exists():
+        time.sleep(0.01)
+    with pytest.raises(StoreError, match=rf"being written in the store: pid {child} (.|\n)*mend: wait for it"):
+        gone(root, lived.demo)
+    with Store.open(root) as store:
+        assert store.episode(lived.demo) and not store.unfinished_erasures()
