@@ -2,17 +2,20 @@
 
 import os
 import time
+from datetime import UTC, date, datetime
 
 import numpy as np
 import pytest
 
-from pipeline.errors import ConfigError, DatasetError
+from pipeline.consent import Consents
+from pipeline.errors import ConfigError, ConsentError, DatasetError
 from pipeline.lerobot_view.augmenting import Augment
 from pipeline.lerobot_view.frame_cache import FrameCache
 from pipeline.lerobot_view.frame_weights import Factors
 from pipeline.lerobot_view.mixing import Mixture
 from pipeline.lerobot_view.samples import Samples
 from pipeline.lerobot_view.video import decoded
+from schemas.consent import Consent
 from schemas.recipe import CameraConfig, DatasetConfig
 from stages.build import build
 
@@ -50,6 +53,19 @@ def test_pictures_are_those_of_the_videos_beside_their_own_frames(made, episodes
     assert found[FRONT].shape == (len(rows), 3, 48, 64) and found["skew.camera.front"].shape == (len(rows),)
     np.testing.assert_array_equal(found["index"], rows)
     assert data.task_of(found) == ["pick up the cube and place it on the target"] * len(rows)
+
+
+def test_a_version_with_somebody_who_does_not_agree_any_more_is_not_loaded(made, episodes, episode):
+    form = Consent(id="form-12", operator="operator-7", site="lab", purposes=("training",), given=date(2026, 1, 1),
+                   expires=date(2027, 1, 1))
+    person = episode("person", "corrected", parent="attempt", length=9, consent="form-12")
+    person = person.model_copy(update={"segments": tuple(
+        s.model_copy(update={"actor": "operator-7"}) for s in person.segments)})
+    agreed = Consents({form.id: form}, datetime(2026, 6, 1, tzinfo=UTC))
+    folder = made([*episodes, person], consents=agreed)
+    assert Samples.load(folder, agreed).starts.size > 0
+    with pytest.raises(ConsentError, match="cannot be used for training"):
+        Samples.load(folder, Consents({form.id: form}, datetime(2028, 6, 1, tzinfo=UTC)))
 
 
 def test_history_and_chunks_are_padded_at_the_ends_and_say_so(made, episodes):
