@@ -54,10 +54,13 @@ def test_episodes_are_ready_to_browse(root):
         ready = lambda chosen: catalog.add("arm", [Making(store).episode(e).entry for e in chosen])  # noqa: E731
         one = timed(lambda: ready(episodes[:1]))
         many = timed(lambda: ready(episodes))
-        again = timed(lambda: ready(episodes))
         assert len(catalog.rows("arm")) == EPISODES
+    with Store.open(root) as store, serving() as catalog:
+        catalog.add("warm", [])
+        again = timed(lambda: catalog.add("arm", [Making(store).episode(e).entry for e in episodes]))
         size = sum(p.stat().st_size for p in (root / "browse").iterdir()) / EPISODES / 1e3
-    theirs = _importer([store.blob(str(e.blob)) for e in episodes[:10]], root)
+        files = [store.blob(str(e.blob)) for e in episodes[:10]]
+    theirs = _importer(files, root)
     print(f"\none episode: {one[0]:.2f} s, {one[1]:.2f} s CPU; {EPISODES}: {many[0]:.1f} s, {many[1]:.1f} s CPU; "
           f"again, from the cache: {again[0]:.1f} s, {again[1]:.1f} s CPU; {size:.0f} kB an episode\n"
           f"`rerun mcap convert`: {theirs * EPISODES / 10:.1f} s CPU for {EPISODES}, without labels, links or plots")

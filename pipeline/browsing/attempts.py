@@ -89,7 +89,8 @@ def about(episode: Episode) -> str:
         "start": scene.stratum, "frames": f"{episode.frames} at {episode.control_hz:g} Hz", "consent": episode.consent,
         "drawn physics": ", ".join(f"{d.name} {d.value:.3g} {d.unit}" for d in scene.draws),
     }
-    head = f"### {outcome.label}" + (f": {outcome.family}" if outcome.family else "")
+    after = " after" if outcome.label == "success" else ":"  # a correction succeeds where another attempt failed
+    head = f"### {outcome.label}" + (f"{after} {outcome.family}" if outcome.family else "")
     facts = " · ".join(f"{name} **{_plain(value)}**" for name, value in told.items() if value)
     return f"{head}\n\nepisode **{episode.id}** · {facts}"
 

@@ -11,6 +11,8 @@ from pipeline.browsing.outline import Outline
 
 PLOT_FOLDERS = ("joints", "hand", "action")
 """Folders in which every folder below is a plot of its own; any other folder is one plot."""
+CROWDED = 5
+"""Attempts from which on only the first plot of a tab has a legend: it would hide the curves."""
 ACROSS = 12
 """Plots in one grid; what is more goes into further tabs."""
 
@@ -71,7 +73,7 @@ def _plots(outline: Outline, prefixes: Sequence[str]) -> list[rrb.View | rrb.Con
     """One tab a folder of curves."""
     tabs: list[rrb.View | rrb.Container] = []
     for folder, plots in outline.plots(PLOT_FOLDERS).items():
-        views = [_plot(plot, prefixes) for plot in plots]
+        views = [_plot(plot, prefixes, legend=k == 0 or len(prefixes) < CROWDED) for k, plot in enumerate(plots)]
         for k in range(0, len(views), ACROSS):
             name = folder if len(views) <= ACROSS else f"{folder} {k // ACROSS + 1}"
             part = views[k:k + ACROSS]
@@ -80,11 +82,14 @@ def _plots(outline: Outline, prefixes: Sequence[str]) -> list[rrb.View | rrb.Con
     return tabs
 
 
-def _plot(path: str, prefixes: Sequence[str]) -> rrb.TimeSeriesView:
+def _plot(path: str, prefixes: Sequence[str], *, legend: bool) -> rrb.TimeSeriesView:
     entity = "/".join(map(_part, path.split("/")))
-    legend = rrb.PlotLegend(corner=rrb.Corner2D.RightTop)
-    return rrb.TimeSeriesView(origin="/", contents=[f"+ {p}/{entity}/**" for p in prefixes],
-                              name=path.rsplit("/", 1)[-1], plot_legend=legend)
+    contents = [f"+ {p}/{entity}/**" for p in prefixes]
+    if len(prefixes) > 1:  # commands of several attempts hide what they did
+        contents += [f"- {p}/{entity}/command" for p in prefixes]
+    corner = rrb.PlotLegend(corner=rrb.Corner2D.RightTop, visible=legend)
+    return rrb.TimeSeriesView(origin="/", contents=contents,
+                              name=path.rsplit("/", 1)[-1], plot_legend=corner)
 
 
 def _told(outline: Outline, prefixes: Sequence[str] = ("",)) -> list[rrb.View]:

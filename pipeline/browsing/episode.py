@@ -99,7 +99,8 @@ def curve(stream: rr.RecordingStream, path: str, at: list[rr.TimeColumn], values
     name, colour, width = kind, COLOURS.get(kind), 1.5
     if hue is not None:
         asked = kind in ("command", "sent")
-        name = f"{prefix.strip('/').replace('/', ' ')} {kind}"
+        attempt = prefix.strip("/").replace("/", " ")
+        name = attempt if kind in ("state", "sent") else f"{attempt} {kind}"
         colour, width = (*hue, 110) if asked else (*hue, 255), 1.0 if asked else 2.0
     entity = prefix + "/" + "/".join(map(_part, path.strip("/").split("/")))
     stream.log(entity, rr.SeriesLines(names=name, colors=colour, widths=width), static=True)
