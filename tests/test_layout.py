@@ -21,6 +21,7 @@ OWNERS = {
     "lerobot": ("pipeline/lerobot_view/", "pipeline/policies/", "pipeline/robots/"),
     "draccus": ("pipeline/robots/plugins.py",),
     "pygame": ("pipeline/robots/gamepad.py",),
+    "huggingface_hub": ("pipeline/lerobot_view/hub.py",),
     "rerun": ("pipeline/browsing/",),
 }
 """Package -> where it may be imported."""

@@ -126,7 +126,7 @@ def _copy(footage: ForeignFootage, chosen: list[Any], part: Path) -> tuple[int, 
         if of.codec_context.name not in AV1 or of.pix_fmt != video.PIX_FMT or not even:
             return None
         with part.open("w+b") as stream, av.open(stream, "w", format="mp4") as container:
-            to: Any = cast(Any, container).add_stream_from_template(of)
+            to: Any = cast(Any, container).add_stream_from_template(of, opaque=True)  # by codec, not decoder
             to.time_base = Fraction(1, footage.fps)
             for n, packet in enumerate(chosen):
                 copied: Any = av.Packet(bytes(packet))
