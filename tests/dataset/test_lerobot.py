@@ -17,8 +17,10 @@ from hypothesis import strategies as st
 from pipeline.frames import FEATURES
 from pipeline.lerobot_view.samples import Samples
 from pipeline.lerobot_view.training_data import TrainingData
+from schemas.edits import Drop, Relabel, Reweight, Trim
 from schemas.recipe import CameraConfig, DatasetConfig
 from stages.build import build, load_version
+from stages.derive import derive
 
 pytestmark = pytest.mark.xdist_group("lerobot")
 
@@ -221,6 +223,17 @@ def test_a_version_of_many_files_and_chunks_is_one_dataset(
     recorded = np.concatenate([frames(d).action for d in demos])
     np.testing.assert_array_equal(np.stack(opened(folder).hf_dataset.with_format("numpy")[:]["action"]), recorded)
     np.testing.assert_array_equal(TrainingData.load(folder).action, recorded)
+
+
+def test_lerobot_opens_what_was_derived(opened, versions, frames):
+    store, _, grown, episodes = versions
+    edits = [Drop(episodes=(episodes[2].id, episodes[8].id)), Trim(episode=episodes[4].id, start=3, stop=9),
+             Relabel(episode=episodes[0].id, outcome="failure"), Reweight(episodes=(episodes[1].id,), factor=2)]
+    made = derive(grown, edits, store=store)
+    kept = [(e, slice(3, 9) if e is episodes[4] else slice(None)) for k, e in enumerate(episodes) if k not in (2, 8)]
+    check_invariants(store / made.path)
+    table = opened(store / made.path).hf_dataset.with_format("numpy")[:]
+    np.testing.assert_array_equal(np.stack(table["action"]), np.concatenate([frames(e).action[at] for e, at in kept]))
 
 
 def check_invariants(folder):
