@@ -91,9 +91,9 @@ def planned(draft: Draft) -> Plan:
 def _segments(draft: Draft, ids: Sequence[str]) -> list[str]:
     """Who commanded which frames, as JSON; cut where the episode is."""
     segments: list[str] = draft.gathered("segments")
-    for k in np.flatnonzero((draft.start > 0) | (draft.stop < _whole(draft))).tolist():
+    for k in map(int, np.flatnonzero((draft.start > 0) | (draft.stop < _whole(draft)))):
         start, stop = int(draft.start[k]), int(draft.stop[k])
-        parts: list[tuple[str, int, int, str]] = json.loads(str(segments[k]))
+        parts: list[tuple[str, int, int, str]] = json.loads(segments[k])
         left = [[kind, max(a, start) - start, min(b, stop) - start, actor] for kind, a, b, actor in parts
                 if a < stop and b > start]
         if "intervention" in {p[0] for p in parts} - {p[0] for p in left}:
