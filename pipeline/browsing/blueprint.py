@@ -30,7 +30,8 @@ def of_episode(outline: Outline) -> rrb.Blueprint:
     plots = rrb.Tabs(*_plots(outline, ("",)))
     below = rrb.Tabs(*_told(outline))
     right = rrb.Vertical(plots, below, row_shares=[4, 1])
-    shares = [s for has, s in ((outline.bodies, 4), (outline.cameras, 2.4), (outline.states, 1.9 if outline.cameras else 1.3)) if has]
+    lanes = 1.9 if outline.cameras else 1.3
+    shares = [s for has, s in ((outline.bodies, 4), (outline.cameras, 2.4), (outline.states, lanes)) if has]
     body = rrb.Horizontal(rrb.Vertical(*left, row_shares=shares), right, column_shares=[1, 1.1]) if left else right
     return rrb.Blueprint(body, _time(), rrb.BlueprintPanel(state="collapsed"), rrb.SelectionPanel(state="collapsed"),
                          auto_views=False)
