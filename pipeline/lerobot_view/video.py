@@ -11,6 +11,7 @@ import numpy as np
 
 from pipeline.errors import DatasetError
 from pipeline.footage import Picture
+from pipeline.lerobot_view.scheduling import fair
 
 CODEC, PIX_FMT = "libsvtav1", "yuv420p"
 OPTIONS = {"crf": "30", "preset": "12", "g": "2"}
@@ -48,7 +49,7 @@ def encode(pictures: Iterable[Picture], file: Path, *, fps: int, where: object,
     import av
 
     frames, shape, video, opening = 0, (0, 0, 3), None, cast(Any, av.open)
-    with _quiet(), file.open("w+b") as stream, opening(stream, "w", format="mp4") as container:
+    with _quiet(), fair() as calm, file.open("w+b") as stream, opening(stream, "w", format="mp4") as container:
         for picture in pictures:
             if video is None:
                 shape = picture.shape
@@ -60,6 +61,8 @@ def encode(pictures: Iterable[Picture], file: Path, *, fps: int, where: object,
             frame: Any = av.VideoFrame.from_ndarray(picture, format="rgb24")
             frame.pts, frame.time_base = frames, Fraction(1, fps)
             container.mux(video.encode(frame))
+            if not frames:
+                calm()  # the first frame opens the encoder and starts its threads
             frames += 1
         if video is None:
             raise DatasetError("no picture at all", where=where, mend="leave the episode out")
