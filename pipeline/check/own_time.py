@@ -15,6 +15,9 @@ STATE = "/sim/state"
 """Topic that only a simulated robot has."""
 UNEVEN = 0.1
 """Share of a period that a tick may be early or late without being looked at."""
+PARTED_S, PAUSED_S = 0.5, 60.0
+"""A busy computer parts stamp and arrival of a tick or two, and for less than a minute: what parts them for good, or
+takes longer, is a clock [s]."""
 TICKED = 0.9
 """Share of pictures whose ticks have to be there; a killed recording may end with pictures of the next."""
 
@@ -41,7 +44,7 @@ def _without_pauses(signals: Signals, control_hz: float) -> Signals:
     if (numbers <= 0).any() or (steps <= 0).any():
         return signals  # out of order: no clock to go by
     late = steps - numbers * period
-    if np.abs(late).max() < UNEVEN * period:
+    if np.abs(late).max() < UNEVEN * period or late.max() > PAUSED_S * 1e9 or _parted(signals):
         return signals
     start, seconds = int(wall[0]), (wall - wall[0]).astype(np.float64)
     own = (state.sequence - state.sequence[0]) * period
@@ -59,6 +62,16 @@ def _without_pauses(signals: Signals, control_hz: float) -> Signals:
     return replace(signals, topics={n: _topic(t, moved) for n, t in signals.topics.items()},
                    cameras={n: replace(c, stamps_ns=moved(c.stamps_ns)) for n, c in signals.cameras.items()},
                    faults=dict(signals.faults) | ({"paused": text} if (late > period / 2).any() else {}))
+
+
+def _parted(signals: Signals) -> bool:
+    """Whether arrivals leave their stamps for good: then a clock jumped; one late tick alone is a wait."""
+    for name, topic in signals.topics.items():
+        if name not in signals.cameras and topic.steady and topic.header_ns is not None and len(topic) >= 8:
+            apart, quarter = topic.log_ns - topic.header_ns, len(topic) // 4
+            if abs(float(np.median(apart[-quarter:]) - np.median(apart[:quarter]))) > PARTED_S * 1e9:
+                return True
+    return False
 
 
 def _topic(topic: Topic, moved: Callable[[Ns], Ns]) -> Topic:
