@@ -43,6 +43,21 @@ def to_arrow(values: NDArray[Any]) -> Any:
     return flat if values.shape[1] == 1 else pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
 
 
+def opened(file: Path, kind: str) -> tuple[Any, list[int]]:
+    """An Arrow file mapped into memory whose metadata say that it is of this format, and the rows of each batch.
+
+    Raises:
+        ValueError: it is an Arrow file of another format.
+        OSError: it cannot be read.
+        ArrowException: it is no Arrow file; Arrow's own errors may also be one of the others.
+    """
+    reader: Any = pa.ipc.open_file(pa.memory_map(str(file)))
+    metadata: dict[bytes, bytes] = reader.schema.metadata or {}
+    if metadata.get(b"format") != kind.encode():
+        raise ValueError(f"its header does not say {kind}")
+    return reader, [reader.get_batch(k).num_rows for k in range(reader.num_record_batches)]
+
+
 def to_rows(column: Any, width: int) -> NDArray[Any]:
     """An Arrow column of scalars, or of lists that all hold `width` values, as read-only rows of shape (n, width).
 

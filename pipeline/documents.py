@@ -23,6 +23,15 @@ def load_document[Model: BaseModel](file: Path, model: type[Model], *, kind: str
     Raises:
         ConfigError: no such file, not YAML, or a value that breaks a rule; names the file.
     """
+    return from_values(load_mapping(file, kind=kind, example=example), model, where=file, example=example)
+
+
+def load_mapping(file: Path, *, kind: str, example: str) -> dict[str, Any]:
+    """Read one YAML file as plain values; see load_document.
+
+    Raises:
+        ConfigError: no such file, not YAML, or no mapping; names the file.
+    """
     try:
         content: Any = yaml.safe_load(file.read_text(encoding="utf-8"))
     except OSError as error:
@@ -34,7 +43,7 @@ def load_document[Model: BaseModel](file: Path, model: type[Model], *, kind: str
         raise ConfigError("not a text file of YAML", where=file, mend=f"save it as UTF-8; {example}") from error
     if not isinstance(content, dict):
         raise ConfigError(f"{kind} is a mapping, this is {type(content).__name__}", where=file, mend=example)
-    return from_values(cast(dict[str, Any], content), model, where=file, example=example)
+    return cast(dict[str, Any], content)
 
 
 def from_values[Model: BaseModel](content: dict[str, Any], model: type[Model], *, where: object,

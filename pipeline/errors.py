@@ -63,3 +63,9 @@ def unknown(kind: str, name: str, known: object) -> ConfigError:
     """The error for a name that is not in a table: it lists every valid one."""
     names = ", ".join(sorted(str(k) for k in known))  # type: ignore[attr-defined]
     return ConfigError(f"unknown {kind} {name!r}", where=f"--{kind} {name}", mend=f"use one of: {names}")
+
+
+def one_line(error: BaseException) -> str:
+    """The first line of a foreign error, or its kind where it says nothing."""
+    lines = str(error).strip().splitlines()
+    return lines[0] if lines else type(error).__name__

@@ -1,14 +1,14 @@
 """Recipes from YAML files: found by name, checked, and refused in one line."""
 
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
-import yaml
-from pydantic import BaseModel, ValidationError
-from pydantic_core import ErrorDetails
-
+from pipeline.documents import from_values, load_mapping
 from pipeline.errors import ConfigError, unknown
 from schemas.recipe import Recipe
+
+BEGINNING = "begin with `name: ...`, as in datasets/recipes/default.yaml"
+FIELDS = "every field with its unit and limits: schemas/recipe.py"
 
 
 def recipe_folders() -> tuple[Path, ...]:
@@ -44,22 +44,7 @@ def load_recipe(name: str) -> Recipe:
         ConfigError: it does not exist, is not YAML, or breaks a rule: the field, the value and the rule in one line.
     """
     file = find_recipe(name)
-    try:
-        content: Any = yaml.safe_load(file.read_text(encoding="utf-8"))
-    except yaml.MarkedYAMLError as error:
-        line = f":{error.problem_mark.line + 1}" if error.problem_mark else ""
-        raise ConfigError(
-            f"not YAML: {error.problem}", where=f"{file}{line}", mend="compare with datasets/recipes/default.yaml"
-        ) from error
-    except UnicodeDecodeError as error:
-        raise ConfigError("not a text file", where=file, mend="save the recipe as UTF-8 YAML") from error
-    if not isinstance(content, dict):
-        raise ConfigError(
-            f"a recipe is a mapping, this is {type(content).__name__}",
-            where=file,
-            mend="begin with `name: ...`, as in datasets/recipes/default.yaml",
-        )
-    return recipe_from({"name": file.stem, **cast(dict[str, Any], content)}, file)
+    return recipe_from({"name": file.stem, **load_mapping(file, kind="a recipe", example=BEGINNING)}, file)
 
 
 def recipe_from(content: dict[str, Any], where: object) -> Recipe:
@@ -68,43 +53,7 @@ def recipe_from(content: dict[str, Any], where: object) -> Recipe:
     Raises:
         ConfigError: a value breaks a rule; `where` names the source.
     """
-    try:
-        return Recipe.model_validate(content)
-    except ValidationError as error:
-        details = error.errors()
-        more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
-        raise ConfigError(_sentence(details[0]) + more, where=where, mend=_mend(details[0])) from error
-
-
-def _sentence(detail: ErrorDetails) -> str:
-    """'train.steps = -5: Input should be greater than or equal to 1'."""
-    field = ".".join(str(part) for part in detail["loc"])
-    if detail["type"] == "extra_forbidden":
-        return f"unknown key {field!r}"
-    if detail["type"] == "missing":
-        return f"{field!r} is missing"
-    rule = detail["msg"].removeprefix("Value error, ")
-    if detail["type"] == "value_error":  # the rule of a whole section already shows its value
-        return f"{field}: {rule}" if field else rule
-    return f"{field} = {detail['input']!r}: {rule[0].lower()}{rule[1:]}"
-
-
-def _mend(detail: ErrorDetails) -> str:
-    """What to write instead: every key where a key is wrong, else the file with the meaning of each field."""
-    section = _section(detail["loc"][:-1])
-    if detail["type"] == "extra_forbidden" and section is not None:
-        return f"use one of: {', '.join(sorted(section.model_fields))}"
-    return "every field with its unit and limits: schemas/recipe.py"
-
-
-def _section(location: tuple[int | str, ...]) -> type[BaseModel] | None:
-    model: type[BaseModel] = Recipe
-    for part in location:
-        kind = model.model_fields[part].annotation if isinstance(part, str) and part in model.model_fields else None
-        if not (isinstance(kind, type) and issubclass(kind, BaseModel)):
-            return None
-        model = kind
-    return model
+    return from_values(content, Recipe, where=where, example=FIELDS)
 
 
 def _names() -> str:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.arrow import pa, to_arrow, to_rows
-from pipeline.errors import DatasetError
+from pipeline.errors import DatasetError, one_line
 from pipeline.files import atomic
 from pipeline.frames import FEATURES, Frames, Table, check_table
 
@@ -60,8 +60,7 @@ def read_shard(path: Path) -> dict[str, Frames]:
         raise DatasetError("there is no such shard", where=path, mend="make the variants again: hardcase augment") \
             from error
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, IndexError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise DatasetError(f"not a whole shard of frames ({reason})", where=path,
+        raise DatasetError(f"not a whole shard of frames ({one_line(error)})", where=path,
                            mend="make the variants again: hardcase augment") from error
 
 

@@ -14,7 +14,7 @@ from pipeline.arrow import pa, read_parquet, to_rows
 from pipeline.check.films import MEND, film_cameras, pictures_there
 from pipeline.check.fit import feature_names
 from pipeline.check.signals import Column, Signals, Subject, Tables, Topic
-from pipeline.errors import DatasetError, HardcaseError
+from pipeline.errors import DatasetError, HardcaseError, one_line
 from pipeline.files import sha256_file
 from pipeline.lerobot_view.layout import BOOKKEEPING, INFO, MANIFEST, STATS, files_in
 from pipeline.lerobot_view.manifest import load_version, read_manifest
@@ -55,8 +55,7 @@ def read_folder(folder: Path, *, name: str | None = None) -> Subject:
     except HardcaseError:
         raise
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise DatasetError(f"dataset is damaged: {reason[:200]}", where=folder, mend=MEND) from error
+        raise DatasetError(f"dataset is damaged: {one_line(error)[:200]}", where=folder, mend=MEND) from error
     called = name or (tables.version.id if tables.version else folder.resolve().name)
     recordings = tuple(replace(s, cameras=cameras.get(k, {})) for k, s in enumerate(recordings))
     return Subject(called, _digest(folder, tables.version), recordings, tables)

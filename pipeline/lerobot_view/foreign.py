@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrow import pa, read_parquet, to_rows
-from pipeline.errors import DatasetError
+from pipeline.errors import DatasetError, one_line
 from pipeline.frames import Features
 from pipeline.lerobot_view.layout import BOOKKEEPING, EPISODES, INFO, INTERVENTION, TASKS
 from pipeline.lerobot_view.opened import read_tasks
@@ -160,7 +160,7 @@ def read_foreign(folder: Path) -> Foreign:
             raise ValueError("no episode, or a rate that is not whole")
         return Foreign(folder, info, columns, tuple(_tasks(folder)))
     except (OSError, ValueError, KeyError, TypeError, pa.ArrowException) as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0][:160]
+        reason = one_line(error)[:160]
         raise DatasetError(f"not a LeRobot v3.0 dataset that can be read: {reason}", where=folder, mend=MEND) from error
 
 

@@ -4,7 +4,7 @@ import re
 from contextlib import suppress
 from pathlib import Path
 
-from pipeline.errors import DatasetError
+from pipeline.errors import DatasetError, one_line
 
 REPOSITORY = re.compile(r"[A-Za-z0-9][\w.-]{0,95}/[A-Za-z0-9][\w.-]{0,95}")
 
@@ -45,7 +45,7 @@ def push(folder: Path, repository: str, version: str) -> str:
             api.delete_tag(repository, tag="v3.0", repo_type="dataset")
         api.create_tag(repository, tag="v3.0", repo_type="dataset")
     except (HfHubHTTPError, OSError, ValueError) as error:
-        reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
+        reason = one_line(error)[:200]
         raise DatasetError(f"the upload failed: {reason}", where=f"--push-to {repository}",
                            mend=f"log in (hf auth login) and try again; the copy is there: {folder}") from error
     return f"https://huggingface.co/datasets/{repository}"

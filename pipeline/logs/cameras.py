@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.arrow import pa, scalars
+from pipeline.arrow import opened, pa, scalars
 from pipeline.errors import DatasetError
 
 FORMAT = "hardcase-images-1"
@@ -65,11 +65,7 @@ class Images:
             DatasetError: it is missing, damaged or something else.
         """
         try:
-            self._reader: Any = pa.ipc.open_file(pa.memory_map(str(file)))
-            metadata: dict[bytes, bytes] = self._reader.schema.metadata or {}
-            if metadata.get(b"format") != FORMAT.encode():
-                raise ValueError("no header of images")
-            sizes = [self._reader.get_batch(k).num_rows for k in range(self._reader.num_record_batches)]
+            self._reader, sizes = opened(file, FORMAT)
         except (pa.ArrowException, OSError, ValueError) as error:
             raise DatasetError(f"not a file of camera images ({error})", where=file,
                                mend="convert the log again: hardcase ingest") from error

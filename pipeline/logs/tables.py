@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.arrow import pa, to_arrow, to_rows
-from pipeline.errors import DatasetError
+from pipeline.arrow import opened, pa, to_arrow, to_rows
+from pipeline.errors import DatasetError, one_line
 from pipeline.frames import FeatureTable
 from schemas.conversion import Converted
 
@@ -54,11 +54,7 @@ class FrameFile:
         """
         self._file, self._features = file, made.features
         try:
-            self._reader: Any = pa.ipc.open_file(pa.memory_map(str(file)))
-            metadata: dict[bytes, bytes] = self._reader.schema.metadata or {}
-            if metadata.get(b"format") != FORMAT.encode():
-                raise ValueError("no header of frames")
-            rows = [self._reader.get_batch(k).num_rows for k in range(self._reader.num_record_batches)]
+            self._reader, rows = opened(file, FORMAT)
             self._batches, self._episodes = _edges(rows), _edges([span.frames for span in made.spans])
             if self._batches[-1] != self._episodes[-1]:
                 raise ValueError(f"{self._batches[-1]} frames, {self._episodes[-1]} were made")
@@ -91,7 +87,7 @@ class FrameFile:
         return {name: parts[0] if len(parts) == 1 else np.concatenate(parts) for name, parts in found.items()}
 
     def _damaged(self, error: Exception) -> DatasetError:
-        return DatasetError(f"not a whole file of frames ({str(error).splitlines()[0] if str(error) else error!r})",
+        return DatasetError(f"not a whole file of frames ({one_line(error)})",
                             where=self._file, mend="convert the log again: hardcase ingest")
 
 

@@ -14,7 +14,8 @@ from pipeline.errors import ConfigError, RobotError
 from pipeline.protocols import Array, Ids, Observation, Signals
 from pipeline.recording import cdr
 from pipeline.recording.live_rows import TickLayout
-from pipeline.robots.lerobot_teleop import feature_names, number, one_line
+from pipeline.robots.driver import asked
+from pipeline.robots.lerobot_teleop import feature_names, number
 from pipeline.robots.limits import Limits
 from pipeline.robots.mapping import RATES
 from pipeline.robots.pace import Pace
@@ -44,11 +45,8 @@ class Link:
 
     def connect(self) -> None:
         """Connect it, and calibrate it where lerobot asks for that."""
-        try:
-            self._device.connect()
-        except Exception as error:  # drivers raise what they like
-            raise RobotError(f"{self.name} does not connect: {one_line(error)}", where=f"--robot {self.name}",
-                             mend="check power, port and rights; try lerobot-teleoperate with them") from error
+        asked(self.name, "does not connect", self._device.connect, where=f"--robot {self.name}",
+              mend="check power, port and rights; try lerobot-teleoperate with them")
 
     def disconnect(self) -> None:
         """Let it go, as the driver does that: many switch the motors off."""
@@ -77,11 +75,8 @@ class Link:
         return {name: float((sent or values).get(name, value)) for name, value in values.items()}
 
     def _asked(self, what: str, call: Any, *arguments: object) -> Any:
-        try:
-            return call(*arguments)
-        except Exception as error:  # drivers raise what they like
-            raise RobotError(f"{self.name} {what}: {one_line(error)}", where=f"--robot {self.name}",
-                             mend="the attempt was kept; check power and cable, then start again") from error
+        return asked(self.name, what, call, *arguments, where=f"--robot {self.name}",
+                     mend="the attempt was kept; check power and cable, then start again")
 
 
 class JointRobot:

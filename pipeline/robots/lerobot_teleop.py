@@ -7,8 +7,9 @@
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from pipeline.errors import RobotError
+from pipeline.errors import RobotError, one_line
 from pipeline.protocols import Call, Command
+from pipeline.robots.driver import asked
 from pipeline.robots.mapping import DELTAS, plain
 
 if TYPE_CHECKING:
@@ -43,19 +44,14 @@ class LerobotTeleop:
 
     def connect(self) -> None:
         """Connect it, and calibrate it where lerobot asks for that."""
-        try:
-            self._device.connect()
-        except Exception as error:  # drivers raise what they like
-            raise RobotError(f"{self.name} does not connect: {one_line(error)}", where=f"--teleop {self.name}",
-                             mend="check cable, port and rights; try lerobot-teleoperate with them") from error
+        asked(self.name, "does not connect", self._device.connect, where=f"--teleop {self.name}",
+              mend="check cable, port and rights; try lerobot-teleoperate with them")
 
     def read(self) -> Command:
         """Its action of now."""
-        try:
-            found: Mapping[str, Any] = self._device.get_action()
-        except Exception as error:
-            raise RobotError(f"{self.name} does not answer: {one_line(error)}", where=f"--teleop {self.name}",
-                             mend="the attempt was kept; check the cable, then start again") from error
+        found: Mapping[str, Any] = asked(self.name, "does not answer", self._device.get_action,
+                                         where=f"--teleop {self.name}",
+                                         mend="the attempt was kept; check the cable, then start again")
         values = {name: number(found, name, self.name) for name in self._names}
         raw = tuple(values.values())
         calls, intervening = self._events()
@@ -122,12 +118,6 @@ def number(values: Mapping[str, Any], name: str, device: str) -> float:
         what = "is missing" if name not in values else f"is {values[name]!r}, not a number"
         raise RobotError(f"{name} of {device} {what}", where=device,
                          mend="its features promise it: report this to the plugin's author") from error
-
-
-def one_line(error: BaseException) -> str:
-    """The first line of a foreign error, or its kind."""
-    lines = str(error).strip().splitlines()
-    return lines[0] if lines else type(error).__name__
 
 
 def _is_number(kind: Any) -> bool:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import yaml
 
-from pipeline.errors import ConfigError, RobotError
+from pipeline.errors import ConfigError, RobotError, one_line
 
 if TYPE_CHECKING:
     from lerobot.robots import Robot
@@ -64,7 +64,7 @@ def known(kind: Kind, plugins: Sequence[str] = ()) -> dict[str, type]:
         try:
             _load(plugin)
         except (PluginLoadError, ImportError) as error:
-            raise ConfigError(f"plugin {plugin!r} does not load: {_line(error)}", where=f"--plugin {plugin}",
+            raise ConfigError(f"plugin {plugin!r} does not load: {one_line(error)}", where=f"--plugin {plugin}",
                               mend="install it, or put its folder on PYTHONPATH") from error
     package = importlib.import_module(PACKAGES[kind])
     for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
@@ -72,7 +72,7 @@ def known(kind: Kind, plugins: Sequence[str] = ()) -> dict[str, type]:
             try:
                 importlib.import_module(module.name)
             except ImportError as error:  # a robot whose vendor's package is not installed: the others remain
-                logging.getLogger(__name__).info("%s does not load: %s", module.name, _line(error))
+                logging.getLogger(__name__).info("%s does not load: %s", module.name, one_line(error))
     registry: Any = RobotConfig if kind == "robot" else TeleoperatorConfig
     return dict(registry.get_known_choices())
 
@@ -96,8 +96,8 @@ def _made[T](kind: Kind, name: str, make: Callable[[Any], T], keys: Mapping[str,
     except Exception as error:  # drivers raise what they like, and lerobot wraps some of it
         missing = error if isinstance(error, ImportError) else error.__cause__
         if isinstance(missing, ImportError):
-            raise RobotError(_line(missing), where=where, mend="install the driver that it names") from error
-        raise RobotError(f"lerobot does not make {name!r}: {_line(error)}", where=where,
+            raise RobotError(one_line(missing), where=where, mend="install the driver that it names") from error
+        raise RobotError(f"lerobot does not make {name!r}: {one_line(error)}", where=where,
                          mend=f"look at its config keys: {', '.join(_keys(choices[name]))}") from error
 
 
@@ -122,7 +122,7 @@ def _config(choice: type, keys: Mapping[str, str], kind: Kind, name: str) -> Any
     try:
         return draccus.decode(choice, raw)
     except Exception as error:  # draccus raises several types of its own
-        raise ConfigError(f"{name!r} refuses its config: {_line(error)}", where=where,
+        raise ConfigError(f"{name!r} refuses its config: {one_line(error)}", where=where,
                           mend=f"give values as YAML: --{kind}-key KEY=VALUE") from error
 
 
@@ -132,9 +132,3 @@ def _keys(choice: type) -> list[str]:
 
 def _words(kind: Kind) -> str:
     return "robot" if kind == "robot" else "teleoperator"
-
-
-def _line(error: BaseException) -> str:
-    """The first line of a foreign error."""
-    lines = str(error).strip().splitlines()
-    return lines[0] if lines else type(error).__name__

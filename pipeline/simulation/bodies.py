@@ -12,7 +12,7 @@ from types import MappingProxyType
 import mujoco
 from pydantic import Field
 
-from pipeline.errors import SimulationError, unknown
+from pipeline.errors import SimulationError, one_line, unknown
 from schemas.base import Frozen
 
 
@@ -173,7 +173,7 @@ def from_file(path: Path) -> Body:
         spec = mujoco.MjSpec.from_file(str(path))
         spec.copy().compile()
     except (ValueError, OSError) as error:
-        raise SimulationError(f"model does not load: {str(error).splitlines()[0]}", where=path,
+        raise SimulationError(f"model does not load: {one_line(error)}", where=path,
                               mend="give an MJCF or URDF file whose meshes lie where it says") from error
     if not spec.worldbody.bodies:
         raise SimulationError("model holds no body", where=path, mend="give a file with at least one body")

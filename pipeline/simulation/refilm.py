@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.errors import SimulationError, unknown
+from pipeline.errors import SimulationError, one_line, unknown
 from pipeline.simulation.rendering import FilmCamera
 
 
@@ -64,6 +64,5 @@ def _compiled(xml: bytes) -> mujoco.MjModel:
     try:
         return mujoco.MjModel.from_xml_string(xml.decode())
     except (ValueError, UnicodeDecodeError) as error:
-        line = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise SimulationError(f"the attached scene does not compile: {line}", where="scene.xml",
+        raise SimulationError(f"the attached scene does not compile: {one_line(error)}", where="scene.xml",
                               mend="record it again with this version") from error

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from pipeline.errors import SimulationError
+from pipeline.errors import SimulationError, one_line
 
 INSTALL = "sudo apt-get install -y libegl1 libosmesa6 libgl1"
 """Debian and Ubuntu packages of both ways to render without a display."""
@@ -103,8 +103,8 @@ def _open_context(width: int, height: int) -> Any:
         context: Any = import_module(f"mujoco.{name}").GLContext(width, height)
         context.make_current()
     except Exception as error:  # PyOpenGL and drivers raise types of their own, and ImportError, and AttributeError
-        line = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise SimulationError(f"{name} does not render: {line}", where=f"backend {name}", mend=INSTALL) from error
+        raise SimulationError(f"{name} does not render: {one_line(error)}", where=f"backend {name}",
+                              mend=INSTALL) from error
     return context
 
 
