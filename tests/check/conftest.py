@@ -1,7 +1,6 @@
 """Real recordings of the nominal arm, ways to spoil them, and datasets made from them."""
 
 import dataclasses
-import io
 import json
 import shutil
 from collections.abc import Callable, Iterable
@@ -10,9 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from mcap.records import Attachment, Channel, DataEnd, Header, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader
-from mcap.writer import Writer
+from mcap.records import Message
 
 from pipeline.check.folder import read_folder
 from pipeline.check.load import read_recording
@@ -84,39 +81,8 @@ def spoil_trace(demos, tmp_path):
 type Change = Callable[[str, Message], Iterable[Message]]
 
 
-def rewritten(data: bytes, change: Change) -> bytes:
-    """A log written again with the mcap library, each message passed through `change`."""
-    out = io.BytesIO()
-    writer = Writer(out, enable_data_crcs=True)
-    schemas: dict[int, int] = {}
-    channels: dict[int, tuple[int, str]] = {}
-    for record in StreamReader(io.BytesIO(data)).records:
-        match record:
-            case Header():
-                writer.start(record.profile, "somebody else")
-            case Metadata():
-                writer.add_metadata(record.name, record.metadata)
-            case Attachment():
-                writer.add_attachment(record.create_time, record.log_time, record.name, record.media_type, record.data)
-            case Schema():
-                schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
-            case Channel():
-                number = writer.register_channel(record.topic, record.message_encoding, schemas[record.schema_id])
-                channels[record.id] = (number, record.topic)
-            case Message():
-                number, topic = channels[record.channel_id]
-                for m in change(topic, record):
-                    writer.add_message(number, m.log_time, m.data, m.publish_time, m.sequence)
-            case DataEnd():
-                break
-            case _:
-                pass
-    writer.finish()
-    return out.getvalue()
-
-
 @pytest.fixture
-def spoil_messages(demos, tmp_path):
+def spoil_messages(demos, tmp_path, rewritten):
     """Writes a demonstration again, each message passed through `change`."""
 
     def spoiled(change: Change, k: int = 0) -> Path:
@@ -128,7 +94,7 @@ def spoil_messages(demos, tmp_path):
 
 
 @pytest.fixture
-def spoil_film(tmp_path):
+def spoil_film(tmp_path, rewritten):
     """Writes a film again, each message passed through `change`."""
 
     def spoiled(film: Path, change: Change) -> Path:

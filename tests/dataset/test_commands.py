@@ -1,11 +1,9 @@
 """hardcase datasets, episodes, derive, diff, export and import as people type them."""
 
 import json
-import sys
 
 import pytest
 
-from flows import cli
 from pipeline.store import Store
 from stages.build import build
 
@@ -29,15 +27,9 @@ def base(store, episode, frames, recipe, task):
 
 
 @pytest.fixture
-def run(store, monkeypatch, capsys):
-    """Runs a command line; returns exit code, stdout and stderr."""
-    def run(*words):
-        monkeypatch.setattr(sys, "argv", ["hardcase", *map(str, words)])
-        with pytest.raises(SystemExit) as left:
-            cli.main()
-        said = capsys.readouterr()
-        return left.value.code or 0, said.out, said.err
-    return run
+def run(store, hardcase):
+    """Types a command line at this store."""
+    return hardcase
 
 
 def derived(run, *words):

@@ -2,14 +2,12 @@
 
 import json
 import shutil
-import sys
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from flows import cli
 from pipeline.lerobot_view.manifest import load_version
 from pipeline.store import Store
 from stages.build import build
@@ -23,15 +21,9 @@ def store(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def run(store, monkeypatch, capsys):
-    """Runs a command line; returns exit code, stdout and stderr."""
-    def run(*words):
-        monkeypatch.setattr(sys, "argv", ["hardcase", *map(str, words)])
-        with pytest.raises(SystemExit) as left:
-            cli.main()
-        said = capsys.readouterr()
-        return left.value.code or 0, said.out, said.err
-    return run
+def run(store, hardcase):
+    """Types a command line at this store."""
+    return hardcase
 
 
 @pytest.fixture

@@ -13,7 +13,6 @@ import pytest
 import yaml
 import zstandard
 
-from flows.cli import main
 from flows.ingesting import Ingest
 from pipeline.files import sha256_file
 from pipeline.logs.cameras import Images
@@ -45,18 +44,15 @@ def store(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def ingest(store, tmp_path, monkeypatch, capsys):
+def ingest(store, tmp_path, hardcase):
     """The command line in this process: exit code, standard output (read, if it is JSON), standard error."""
 
     def call(*arguments, declared=MAP):
         if declared is not None:
             (tmp_path / "map.yaml").write_text(yaml.safe_dump(declared, sort_keys=False))
             arguments = (*arguments, "--map", tmp_path / "map.yaml")
-        monkeypatch.setattr("sys.argv", ["hardcase", "ingest", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        said = capsys.readouterr()
-        return ended.value.code or 0, json.loads(said.out) if "--json" in arguments else said.out, said.err
+        code, out, err = hardcase("ingest", *arguments)
+        return code, json.loads(out) if "--json" in arguments else out, err
 
     return call
 
@@ -277,14 +273,12 @@ def test_a_failure_teaches_nothing_and_is_told(ingest, walk):
     assert "none of 3 episodes may be learnt from (3 failure)" in err
 
 
-def test_a_log_that_failed_its_check_teaches_nothing(ingest, walk, capsys, monkeypatch):
+def test_a_log_that_failed_its_check_teaches_nothing(ingest, walk, hardcase):
     log = walk()
     episode = ingest(log, "--json")[1]["logs"][0]["episodes"][0]
-    monkeypatch.setattr("sys.argv", ["hardcase", "check", episode])  # finds its raw log, whose pictures show nothing
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 1
-    assert "black-camera" in capsys.readouterr().out
+    code, out, _ = hardcase("check", episode)  # finds its raw log, whose pictures show nothing
+    assert code == 1
+    assert "black-camera" in out
     code, _, err = ingest(log, "--dataset", "walks")
     assert code == 2
     assert "none of 3 episodes may be learnt from (3 failed a check)" in err
@@ -297,15 +291,12 @@ def test_logs_of_other_shapes_do_not_become_one_version(ingest, walk):
     assert "one version for each set of features" in err
 
 
-def test_why_leads_back_to_the_raw_log_and_forward_from_it(ingest, walk, store, capsys, monkeypatch):
+def test_why_leads_back_to_the_raw_log_and_forward_from_it(ingest, walk, store, hardcase):
     told = ingest(walk(), "--dataset", "walks", "--json")[1]
     log = told["logs"][0]
     for asked, expected in ((log["episodes"][0], log["sha256"]), (told["dataset"]["version"], log["sha256"]),
                             (log["sha256"][:12], told["dataset"]["version"])):
-        monkeypatch.setattr("sys.argv", ["hardcase", "why", asked])
-        with pytest.raises(SystemExit):
-            main()
-        assert expected in capsys.readouterr().out
+        assert expected in hardcase("why", asked)[1]
 
 
 def test_a_stretch_of_a_log_never_stands_on_both_sides_of_a_split(ingest, walk):

@@ -8,7 +8,6 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
-from flows.cli import main
 from pipeline.lerobot_view.filmed import clips_in
 from pipeline.lerobot_view.video import decoded
 from pipeline.recording.pictures import jpeg
@@ -25,7 +24,7 @@ MAP = {
 
 
 @pytest.fixture
-def ingest(tmp_path, monkeypatch, capsys):
+def ingest(tmp_path, monkeypatch, hardcase):
     monkeypatch.setenv("HARDCASE_STORE", str(tmp_path / "store"))
     with Store.open(tmp_path / "store", create=True) as store:
         store.add_consent(Consent(id="form-1", operator="op-7", site="lab-2", purposes=("training",),
@@ -34,11 +33,7 @@ def ingest(tmp_path, monkeypatch, capsys):
 
     def call(*arguments):
         words = ("ingest", *map(str, arguments), "--map", str(tmp_path / "map.yaml"), "--dataset", "d", "--json")
-        monkeypatch.setattr("sys.argv", ["hardcase", *words])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        said = capsys.readouterr()
-        return ended.value.code or 0, said.out, said.err
+        return hardcase(*words)
 
     return call
 

@@ -6,7 +6,6 @@ from datetime import date
 import pytest
 import yaml
 
-from flows.cli import main
 from pipeline.store import Store
 from schemas.consent import Consent
 
@@ -19,7 +18,7 @@ MAP = {
 
 
 @pytest.fixture
-def call(tmp_path, monkeypatch, capsys):
+def call(tmp_path, monkeypatch, hardcase):
     """The command line in this process, on a store with a consent: exit code, standard output and error."""
     monkeypatch.setenv("HARDCASE_STORE", str(tmp_path / "store"))
     monkeypatch.setenv("HF_HOME", str(tmp_path / "hf"))
@@ -28,14 +27,7 @@ def call(tmp_path, monkeypatch, capsys):
                                   given=date(2020, 1, 1), expires=date(2099, 1, 1)))
     (tmp_path / "map.yaml").write_text(yaml.safe_dump(MAP, sort_keys=False))
 
-    def run(*words):
-        monkeypatch.setattr("sys.argv", ["hardcase", *map(str, words)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        said = capsys.readouterr()
-        return ended.value.code or 0, said.out, said.err
-
-    return run
+    return hardcase
 
 
 @pytest.fixture

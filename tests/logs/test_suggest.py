@@ -11,7 +11,6 @@ from google.protobuf.message_factory import GetMessageClass
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flows.cli import main
 from pipeline.errors import RecordingError
 from pipeline.logs.convert import convert
 from pipeline.logs.mapping import load_map
@@ -232,16 +231,13 @@ def test_a_log_without_numbers_is_refused_with_what_it_holds(foreign_log):
         suggest(made.path)
 
 
-def test_the_command_writes_a_map_to_a_new_file_only(foreign_log, tmp_path, monkeypatch, capsys):
+def test_the_command_writes_a_map_to_a_new_file_only(foreign_log, tmp_path, hardcase):
     with foreign_log() as made:
         for k in range(20):
             made.ros("/joint_states", "sensor_msgs/msg/JointState", k / 50, joints(k / 50, k))
 
     def call(*arguments):
-        monkeypatch.setattr("sys.argv", ["hardcase", "ingest", "--suggest", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        return ended.value.code or 0, *capsys.readouterr()
+        return hardcase("ingest", "--suggest", *arguments)
 
     file = tmp_path / "theirs.yaml"
     code, said, _ = call(made.path, "--out", file)

@@ -1,14 +1,11 @@
 """Episodes and traces of any length, and files that are changed with the mcap library's own tools."""
 
 import dataclasses
-import io
 from collections.abc import Callable
 
 import numpy as np
 import pytest
-from mcap.records import Attachment, Channel, DataEnd, Header, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader
-from mcap.writer import Writer
+from mcap.records import Message
 
 from pipeline.recording import write_episode
 from pipeline.recording.live_header import beginning
@@ -133,37 +130,10 @@ type Change = Callable[[str, Message], Message | None]
 
 
 @pytest.fixture
-def rewrite():
+def rewrite(rewritten):
     """Write a recording again with the mcap library, every message passed through `change`; None drops it."""
 
     def again(data: bytes, change: Change) -> bytes:
-        out = io.BytesIO()
-        writer = Writer(out, enable_data_crcs=True, chunk_size=50_000)
-        schemas: dict[int, int] = {}
-        channels: dict[int, tuple[int, str]] = {}
-        for record in StreamReader(io.BytesIO(data)).records:
-            match record:
-                case Header():
-                    writer.start(record.profile, "somebody else")
-                case Metadata():
-                    writer.add_metadata(record.name, record.metadata)
-                case Attachment():
-                    writer.add_attachment(record.create_time, record.log_time, record.name, record.media_type,
-                                          record.data)
-                case Schema():
-                    schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
-                case Channel():
-                    number = writer.register_channel(record.topic, record.message_encoding, schemas[record.schema_id])
-                    channels[record.id] = (number, record.topic)
-                case Message():
-                    number, topic = channels[record.channel_id]
-                    if new := change(topic, record):
-                        writer.add_message(number, new.log_time, new.data, new.publish_time, new.sequence)
-                case DataEnd():
-                    break
-                case _:
-                    pass
-        writer.finish()
-        return out.getvalue()
+        return rewritten(data, lambda topic, m: filter(None, [change(topic, m)]), chunk_size=50_000)
 
     return again
