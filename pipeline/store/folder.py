@@ -71,7 +71,7 @@ def check_name(kind: str, value: str) -> str:
 
 def _check(pattern: re.Pattern[str], kind: str, value: str, mend: str) -> str:
     if pattern.fullmatch(value) is None:
-        raise StoreError(f"not a valid {kind}: {value[:80]!r}", where=f"{kind} id", mend=mend)
+        raise StoreError(f"not a valid {kind}: {value[:80]!r}", where=f"the {kind} given", mend=mend)
     return value
 
 
