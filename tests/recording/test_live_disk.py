@@ -82,8 +82,8 @@ def test_the_control_thread_does_not_wait_for_a_disk_that_hangs(tmp_path, trace,
     os.mkfifo(tmp_path / "a.mcap.part")
     reader = os.open(tmp_path / "a.mcap.part", os.O_RDONLY | os.O_NONBLOCK)
     recorder = LiveRecorder(tmp_path / "a.mcap", start(), attachments={}, queue_bytes=300_000)
-    lived = trace(250)
-    for tick in range(250):  # a call that waited for the disk would never come back
+    lived = trace(1000)  # far more than pipe, writer and queue can hold together, however late the writer wakes
+    for tick in range(1000):  # a call that waited for the disk would never come back
         recorder.tick(tick, row(lived, tick))
         time.sleep(0.0005)
     assert recorder.dropped["tick"] > 0
