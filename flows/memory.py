@@ -76,6 +76,7 @@ class MemoryWatch:
     def __init__(self, period_s: float = 0.5) -> None:
         self.peak_mb = 0.0
         self._period_s = period_s
+        self._peak = threading.Lock()
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._sample, name="memory-watch", daemon=True)
 
@@ -92,8 +93,10 @@ class MemoryWatch:
 
     def look(self) -> float:
         """Take one more sample now; returns the peak so far [MB]."""
-        self.peak_mb = max(self.peak_mb, tree_pss_mb())
-        return self.peak_mb
+        now_mb = tree_pss_mb()
+        with self._peak:  # a slower look must not put back an older peak
+            self.peak_mb = max(self.peak_mb, now_mb)
+            return self.peak_mb
 
     def _sample(self) -> None:
         while not self._over.wait(self._period_s):
