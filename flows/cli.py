@@ -235,7 +235,9 @@ def report(run: Run = None, json: AsJson = False) -> None:
 def study(
     seeds: Annotated[int, typer.Option(min=1, help="Seeds: twin, data and training together.")] = 8,
     recipe: Recipe = None,
-    arm: Annotated[list[str] | None, typer.Option(help="A control arm to run; may be given again.")] = None,
+    arm: Annotated[list[str] | None, typer.Option(
+        help="A control arm to run, or loop for none; may be given again.")] = None,
+    first: Annotated[int, typer.Option(min=0, help="Number of the first seed; seed k has twin 100 + k.")] = 0,
     json: Annotated[Path | None, typer.Option(help="Write every arm and seed to this file as JSON.")] = None,
 ) -> None:
     """Run the loop beside its controls and print what each arm reaches. Takes hours.
@@ -244,7 +246,7 @@ def study(
     """
     from flows.study import run_study
 
-    run_study(seeds=seeds, recipe=recipe or "default", json=json, arms=tuple(arm or ()))
+    run_study(seeds=seeds, recipe=recipe or "default", json=json, arms=tuple(arm or ()), first=first)
 
 
 @app.command()

@@ -10,7 +10,7 @@ from typing import Any
 
 from rich.console import Console
 
-from flows.arms import ARMS, arm_of
+from flows.arms import ARMS, LOOP, arm_of
 from flows.estimate import turn_steps
 from flows.opening import FIRST_HELD_OUT_TWIN
 from pipeline.errors import ConfigError
@@ -23,7 +23,8 @@ WORKERS = 2
 """Seeds run side by side, each on one thread: two cores are used better so than by two threads for one."""
 
 
-def run_study(*, seeds: int, recipe: str, json: Path | None, arms: Sequence[str] = ()) -> dict[str, Any]:
+def run_study(*, seeds: int, recipe: str, json: Path | None, arms: Sequence[str] = (),
+              first: int = 0) -> dict[str, Any]:
     """Run every arm for every seed, print the pooled table, and hand back everything.
 
     Finished seeds are kept beside the store, so that an interrupted study goes on where it was.
@@ -32,7 +33,9 @@ def run_study(*, seeds: int, recipe: str, json: Path | None, arms: Sequence[str]
         seeds: how many; seed k has twin 100 + k, data seed k and training seeds from k.
         recipe: name or path.
         json: where to write all of it.
-        arms: control arms to run beside the loop; every one that the recipe has a use for where none is named.
+        arms: control arms to run beside the loop, "loop" alone for none; every one that the recipe has a use for
+            where none is named.
+        first: number of the first seed.
 
     Raises:
         ConfigError: an unknown arm, or a seed that was finished with other arms.
@@ -40,20 +43,21 @@ def run_study(*, seeds: int, recipe: str, json: Path | None, arms: Sequence[str]
     from flows.pooling import pool, tables
 
     loaded, folder = load_recipe(recipe), store_root() / "study" / Path(recipe).stem
-    names = ("", *arms) if arms else useful(loaded)
+    names = (LOOP, *(name for name in arms if name != "loop")) if arms else useful(loaded)
     for name in names:
         arm_of(name)
     folder.mkdir(parents=True, exist_ok=True)
     console, results = Console(stderr=True), {}
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     with ProcessPoolExecutor(WORKERS, mp_context=get_context("spawn")) as workers:
-        jobs = {workers.submit(study_seed, k, loaded, folder, names): k for k in range(seeds)}
+        jobs = {workers.submit(study_seed, k, loaded, folder, names): k for k in range(first, first + seeds)}
         for job in as_completed(jobs):
             results[jobs[job]] = job.result()
             console.print(f"seed {jobs[job]} finished, {len(results)} of {seeds}")
-    pooled = pool([results[k] for k in range(seeds)], loaded)
+    found = [results[k] for k in sorted(results)]
+    pooled = pool(found, loaded)
     Console().print(tables(pooled))
-    everything = {"recipe": loaded.name, "seeds": [results[k] for k in range(seeds)], "pooled": pooled}
+    everything = {"recipe": loaded.name, "seeds": found, "pooled": pooled}
     if json is not None:
         with atomic(json) as stream:
             stream.write(jsonlib.dumps(everything, indent=1).encode() + b"\n")
@@ -81,7 +85,7 @@ def study_seed(seed: int, recipe: Recipe, folder: Path, names: Sequence[str]) ->
     twin, found = FIRST_HELD_OUT_TWIN + seed, dict[str, Any]()
     with open_run(folder / f"store-{seed}", recipe, seed=seed, twin=twin, control=False) as loop:
         for name in names:
-            arm = loop if name == "" else Steps(loop.store, loop.lease, recipe, seed, twin, name, loop)
+            arm = loop if name == LOOP else Steps(loop.store, loop.lease, recipe, seed, twin, name, loop)
             turn(arm, 0 if ARMS[name].new_data == "none" else recipe.generations)
             found[name] = arm_result(arm)
     result = {"seed": seed, "twin": twin, "arms": found}
