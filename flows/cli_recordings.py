@@ -10,6 +10,7 @@ from flows.cli_consent import consent
 from flows.cli_datasets import datasets
 from flows.cli_ingest import ingest
 from flows.cli_lineage import forget, why
+from flows.cli_measure import measure
 from flows.cli_selftest import selftest
 from flows.cli_teleop import teleop
 
@@ -17,6 +18,7 @@ commands = typer.Typer()
 
 commands.add_typer(consent, name="consent")
 commands.add_typer(datasets)
+commands.add_typer(measure, name="measure")
 commands.command()(browse)
 commands.command()(teleop)
 commands.command()(ingest)
