@@ -25,7 +25,7 @@ def finished_loop(recipe: str, seed: int) -> Generator[Steps]:
         recipe: name or path.
         seed: number of the study's seed; its twin is 100 + seed.
     """
-    loaded, _ = load_recipe(recipe)
+    loaded = load_recipe(recipe)
     folder = store_root() / "study" / Path(recipe).stem / f"store-{seed}"
     folder.parent.mkdir(parents=True, exist_ok=True)
     alone = loaded.model_copy(update={"threads": 1})
