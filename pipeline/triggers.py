@@ -1,6 +1,7 @@
 """Triggers: what a robot notices of its own failures, from its own senses alone."""
 
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,8 +10,13 @@ from pipeline.frames import STATE
 from pipeline.protocols import Array, Ids, Observation, Trigger
 from schemas.recipe import HarvestConfig
 
+if TYPE_CHECKING:
+    from pipeline.simulation.tasks import PickPlace
+
 GRIPPED_M, FAR_M, SETTLE_TICKS = 0.016, 0.06, 3
 """Finger opening above which something is held, object to tool beyond which it is not, ticks until believed."""
+LOW_M = 0.012
+"""Perceived height above rest that still counts as on the table [m]: six standard deviations of the noise."""
 
 _OPENING, _ASKED = STATE.index("gripper"), STATE.index("cmd_gripper")
 _TOOL = slice(STATE.index("ee_x"), STATE.index("ee_z") + 1)
@@ -74,6 +80,12 @@ class Senses:
     def phase(self, attempt: int) -> str:
         """Subtask the attempt has reached: reach, carry or place."""
         return "place" if self.released[attempt] else "carry" if self.gripped[attempt] else "reach"
+
+
+def senses_of(task: "PickPlace", n: int, config: HarvestConfig, *, ticks: int | None = None) -> Senses:
+    """Senses for n attempts at a task that may take `ticks`, the task's own where None."""
+    return Senses(n, task.ticks if ticks is None else ticks, config, within_m=task.within_m, away_m=task.hand_away_m,
+                  open_m=task.open_m, low_m=LOW_M, hold=task.hold_ticks)
 
 
 def stall(s: Senses) -> NDArray[np.bool_]:

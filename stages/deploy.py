@@ -7,25 +7,20 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.disagreement import disagreement
 from pipeline.policies.onnx_policy import OnnxPolicy
 from pipeline.protocols import Array, Ids, Observation, Policy
 from pipeline.simulation.recordings import Recorded, episode_id, record
 from pipeline.simulation.rollout import rollout
-from pipeline.simulation.tasks import PickPlace, mixed_strata, sample_scene, scene_seed
+from pipeline.simulation.tasks import mixed_strata, sample_scene, scene_seed
 from pipeline.simulation.tracing import Tracer
-from pipeline.simulation.world import LIMITS, OPEN_M, World
+from pipeline.simulation.world import World
 from pipeline.trace import Event, Trace
-from pipeline.triggers import TRIGGERS, Senses, family, fired
+from pipeline.triggers import TRIGGERS, family, fired, senses_of
 from pipeline.twin.twin import draw_twin, twin_world
 from schemas.episode import Episode, Outcome, Segment
 from schemas.recipe import HarvestConfig, Recipe
 from schemas.scene import SceneSpec
-
-LOW_M = 0.012
-"""Perceived height above rest that still counts as on the table [m]: six standard deviations of the noise."""
-
-ACTION_SCALE = np.array([*LIMITS, OPEN_M])
-"""Unit of each action value in the disagreement: the controller's limits and the full opening."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,12 +82,6 @@ def deploy_scenes(recipe: Recipe, *, seed: int, twin: int, generation: int) -> l
                          scene=recipe.scene, twin=twin) for i, name in enumerate(names)]
 
 
-def senses_of(task: PickPlace, n: int, config: HarvestConfig) -> Senses:
-    """Senses for n attempts at a task."""
-    return Senses(n, task.ticks, config, within_m=task.within_m, away_m=task.hand_away_m, open_m=task.open_m,
-                  low_m=LOW_M, hold=task.hold_ticks)
-
-
 class _Ridden:
     """The champion with a rider in its shadow: same observations, and the rider's actions go to the record alone."""
 
@@ -109,8 +98,7 @@ class _Ridden:
         action = self._champion.act(observation, ids)
         other = self._rider.policy.act(observation, ids)
         self._tracer.pend(f"shadow/{self._rider.id}/joint", self._world.would_send(other, ids))
-        self._tracer.pend(f"shadow/{self._rider.id}/disagreement",
-                          (np.abs(other - action) / ACTION_SCALE).mean(axis=1))
+        self._tracer.pend(f"shadow/{self._rider.id}/disagreement", disagreement(other, action))
         return action
 
     def memory(self, ids: Ids) -> Array:

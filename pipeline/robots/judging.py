@@ -4,19 +4,16 @@ import numpy as np
 
 from pipeline.protocols import Observation
 from pipeline.simulation.tasks import PickPlace
-from pipeline.triggers import TRIGGERS, Senses, family, fired
+from pipeline.triggers import TRIGGERS, Senses, family, fired, senses_of
 from schemas.recipe import HarvestConfig
 
-LOW_M = 0.012
-"""Perceived height above rest that still counts as on the table [m]: six standard deviations of the noise."""
 _ONE = np.arange(1)
 _ENDLESS = 1 << 30
 
 
 def _senses(task: PickPlace) -> Senses:
     """Senses of one attempt that a person watches: no time is too long."""
-    return Senses(1, _ENDLESS, HarvestConfig(), within_m=task.within_m, away_m=task.hand_away_m, open_m=task.open_m,
-                  low_m=LOW_M, hold=task.hold_ticks)
+    return senses_of(task, 1, HarvestConfig(), ticks=_ENDLESS)
 
 
 class Judge:
