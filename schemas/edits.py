@@ -5,6 +5,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from schemas.base import Frozen, ShortId
+from schemas.redaction import RedactionMap, told
 
 type Label = Literal["success", "failure", "unknown"]
 
@@ -60,7 +61,14 @@ class Relabel(Frozen):
     outcome: Label
 
 
-type Edit = Annotated[Drop | Add | Reweight | Trim | Relabel, Field(discriminator="kind")]
+class Redact(Frozen):
+    """What a map names is hidden, in all that is there after the edits before; nothing comes after it."""
+
+    kind: Literal["redact"] = "redact"
+    map: RedactionMap
+
+
+type Edit = Annotated[Drop | Add | Reweight | Trim | Relabel | Redact, Field(discriminator="kind")]
 """One edit; a version is derived by several, one after the other."""
 
 
@@ -78,6 +86,8 @@ def line(edit: Edit) -> str:
             return f"trimmed {edit.episode} to frames {edit.start} to {edit.stop}"
         case Relabel():
             return f"relabelled {edit.episode} as {edit.outcome}"
+        case Redact():
+            return f"redacted: {told(edit.map)}"
 
 
 def _named(episodes: tuple[str, ...]) -> str:

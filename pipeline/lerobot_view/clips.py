@@ -72,7 +72,7 @@ class Clips:
             OSError: the disk is full or read-only.
         """
         key = key_of(footage, wanted, fps)
-        found = self._find(key) or self._known.get(key)
+        found = self.find(key) or self._known.get(key)
         if found is None:
             found = self._encoded(footage, wanted, key, fps, part, where)
         return replace(found, repeated=footage.repeated)
@@ -105,7 +105,7 @@ class Clips:
             stream.write(json.dumps(_note(made)).encode())
         return made
 
-    def _find(self, key: str) -> Clip | None:
+    def find(self, key: str) -> Clip | None:
         """What was encoded under this key, if it is still there whole by its size."""
         note = self.folder / f"{key}.json"
         try:

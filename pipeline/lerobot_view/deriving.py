@@ -1,6 +1,6 @@
 """Writes the folder of a derived version: what did not change is shared, what did is written anew."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,9 +20,11 @@ from pipeline.lerobot_view.sealing import building, link, seal, write_json, writ
 from pipeline.lerobot_view.tables import write_tasks
 from pipeline.lerobot_view.writer import link_videos
 
+type Last = Callable[[Path, Mapping[str, str]], None]
+
 
 def write_derived(target: Path, plan: Plan, content: Mapping[str, object], *, aside: Path,
-                  clips: ByCamera) -> dict[str, str]:
+                  clips: ByCamera, last: Last | None = None) -> dict[str, str]:
     """Write the folder of a planned version; see pipeline.lerobot_view.sealing for how it comes into being.
 
     Args:
@@ -31,6 +33,7 @@ def write_derived(target: Path, plan: Plan, content: Mapping[str, object], *, as
         content: what the manifest says besides the digests of files.
         aside: a folder for unfinished things, on the same file system.
         clips: the videos, from `clips_of`.
+        last: writes more files once all others but the manifest are there; given the folder and known digests.
 
     Returns:
         The digest of every file.
@@ -40,6 +43,8 @@ def write_derived(target: Path, plan: Plan, content: Mapping[str, object], *, as
     """
     with building(target, aside) as folder:
         shared = _fill(folder, plan, clips)
+        if last is not None:
+            last(folder, shared)
         hashes = write_manifest(folder, content, shared)
         seal(folder, shared)
     return hashes

@@ -1,7 +1,7 @@
 """A dataset folder opened for derivation: its tables as they are, columns that we do not know included."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -42,6 +42,10 @@ class Opened:
     """The whole episodes table, statistics included."""
     tasks: tuple[str, ...]
     """In the order of task_index."""
+    rewrite: Callable[[int, Any], Any] | None = None
+    """What becomes of a data file as it is read: its number and table -> its table; None: nothing."""
+    rewritten: frozenset[int] = frozenset()
+    """Numbers of the data files that another version may therefore not share."""
     _files: dict[int, Any] = field(default_factory=dict[int, Any])
 
     def __len__(self) -> int:
@@ -114,7 +118,8 @@ class Opened:
         if file not in self._files:
             name = layout.data_file(file)
             self.vouch(name)
-            self._files[file] = read_parquet(self.folder / name)
+            table = read_parquet(self.folder / name)
+            self._files[file] = self.rewrite(file, table) if self.rewrite is not None else table
         return self._files[file]
 
     def first_row(self, file: int) -> int:

@@ -50,7 +50,8 @@ class Plan:
     @property
     def same_frames(self) -> bool:
         """Whether every frame of the parent is still in its place, and no other has come."""
-        return self.head == len(self.ids) == len(self.draft.parent)
+        parent = self.draft.parent
+        return self.head == len(self.ids) == len(parent) and parent.rewrite is None
 
     @property
     def trimmed(self) -> Whole:
@@ -152,6 +153,8 @@ def _head(draft: Draft, task_index: Whole) -> int:
     if (moved := np.flatnonzero((task_index != np.arange(len(task_index))) & (task_index >= 0))).size:
         gone: set[Any] = {parent.tasks[k] for k in moved}
         same &= np.array([not gone & set(tasks or ()) for tasks in parent.texts("tasks")[:count]])
+    if parent.rewritten:
+        same &= ~np.isin(parent.files[:count], list(parent.rewritten))
     until = int(np.argmin(same)) if not same.all() else count
     ends = np.flatnonzero(np.diff(parent.files, append=-1))  # last episode of each data file
     return int(max((e + 1 for e in ends.tolist() if e < until), default=0))
