@@ -30,8 +30,8 @@ LATE = {"torch", "lerobot", "prefect", "mujoco", "rerun"}
 """Never loaded by importing the light parts."""
 
 LIGHT = ("schemas/", "pipeline/store/", "pipeline/recording/", "flows/cli.py")
-TWIN_USERS = ("pipeline/twin/", "stages/deploy.py", "stages/harvest.py", "stages/exam.py", "flows/reporting.py",
-              "flows/teleop_devices.py")
+TWIN_USERS = ("pipeline/twin/", "stages/deploy.py", "stages/harvest.py", "stages/exam.py", "stages/judge.py",
+              "flows/reporting.py", "flows/teleop_devices.py")
 TRAINING_SIDE = (
     *(f"stages/{stage}.py" for stage in ("collect", "augment", "build", "train", "gate", "release")),
     "flows/learning.py",

@@ -1,0 +1,117 @@
+"""Judging: from a champion's recordings and any candidate to who was right at each lasting disagreement."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.counterfactual.branches import Branches, branch
+from pipeline.counterfactual.moment import Lab, Moment, moment_of
+from pipeline.counterfactual.restore import faults
+from pipeline.counterfactual.ride import Restorable, Ride, ride
+from pipeline.counterfactual.windows import Window, first_window
+from pipeline.disagreement import disagreement
+from pipeline.files import short_id
+from pipeline.protocols import Array
+from pipeline.statistics import compare, wilson
+from pipeline.statistics.paired import tango_upper
+from pipeline.trace import Trace
+from pipeline.triggers import stratum_of
+from schemas.counterfactual import JudgeConfig, Judgement, Refusal, Side
+from schemas.episode import Episode
+from schemas.recipe import HarvestConfig
+from schemas.scene import Draw
+
+type Attempt = tuple[Episode, Trace]
+
+ERROR = 0.025
+"""Error of each limit of the interval of a gain."""
+
+
+@dataclass(frozen=True, slots=True)
+class Named:
+    """A policy and its id."""
+
+    id: str
+    policy: Restorable
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """What came of a champion's attempts in the eyes of a candidate."""
+
+    apart: tuple[Array, ...]
+    """Disagreement at each tick of each attempt, shape (m,)."""
+    windows: tuple[Window | None, ...]
+    """The first lasting disagreement of each attempt."""
+    judgements: tuple[Judgement, ...]
+    refusals: tuple[Refusal, ...]
+
+
+def judge(attempts: Sequence[Attempt], champion: Named, candidate: Named, draws: Sequence[Draw], lab: Lab,
+          config: JudgeConfig, triggers: HarvestConfig) -> Judged:
+    """Judge the first lasting disagreement of every attempt, or of a random sample of those that have one.
+
+    Args:
+        attempts: of the champion, whole recordings of one task.
+        champion, candidate: the candidate need not have ridden along.
+        draws: physics of the robot that was recorded.
+        lab: where moments are restored.
+        config: what counts as a disagreement, how many draws.
+        triggers: thresholds that were in force at work.
+    """
+    traces = [t for _, t in attempts]
+    acted, would = ride(champion.policy, traces), ride(candidate.policy, traces)
+    apart = tuple(disagreement(b.action, a.action) for a, b in zip(acted, would, strict=True))
+    windows = tuple(first_window(d, config) for d in apart)
+    moments: list[Moment] = []
+    refused: list[Refusal] = []
+    for i in chosen(windows, config):
+        (episode, trace), window = attempts[i], windows[i]
+        assert window is not None
+        wrong = _another_policy(trace, acted[i], champion.id)
+        if wrong:
+            refused.append(Refusal(episode=episode.id, tick=window.start, reason=wrong))
+        else:
+            moments.append(moment_of(episode, trace, window, tuple(draws), acted[i], would[i]))
+    wrongs = faults(moments, lab)
+    refused += [Refusal(episode=m.episode.id, tick=m.tick, reason=wrong)
+                for m, wrong in zip(moments, wrongs, strict=True) if wrong is not None]
+    sound = [m for m, wrong in zip(moments, wrongs, strict=True) if wrong is None]
+    played = branch(sound, champion.policy, candidate.policy, lab, config, triggers)
+    made = [judgement(m, b, champion.id, candidate.id, config) for m, b in zip(sound, played, strict=True)]
+    return Judged(apart, windows, tuple(made), tuple(refused))
+
+
+def chosen(windows: Sequence[Window | None], config: JudgeConfig) -> list[int]:
+    """Attempts whose window is judged: all that have one, or a random sample of `most`."""
+    there = [i for i, w in enumerate(windows) if w is not None]
+    if config.most is None or len(there) <= config.most:
+        return there
+    picked = np.random.default_rng([config.seed, 17]).choice(len(there), config.most, replace=False)
+    return [there[k] for k in sorted(picked.tolist())]
+
+
+def _another_policy(trace: Trace, acted: Ride, champion: str) -> str | None:
+    """Whether the champion, seeing what was recorded, does not do what was recorded."""
+    differs = np.flatnonzero((trace.action != acted.action).any(axis=1))
+    return f"policy {champion} does not give the recorded action of tick {differs[0]}" if differs.size else None
+
+
+def judgement(moment: Moment, branches: Branches, champion: str, candidate: str, config: JudgeConfig) -> Judgement:
+    """Count the branches of one moment."""
+    pairs, n = compare(branches.success[1], branches.success[0]), config.draws
+    low, high = -tango_upper(pairs.fixed, pairs.broken, n, ERROR), tango_upper(pairs.broken, pairs.fixed, n, ERROR)
+    return Judgement(
+        id=short_id("judgement", moment.episode.id, moment.tick, champion, candidate, config.model_dump_json()),
+        episode=moment.episode.id, tick=moment.tick, lasted=moment.window.stop - moment.window.start,
+        disagreement=moment.window.disagreement, phase=moment.trace.phase[moment.tick],
+        stratum=stratum_of(moment.trace.environment[0]), champion=_side(champion, branches, 0),
+        candidate=_side(candidate, branches, 1), fixed=pairs.fixed, broken=pairs.broken,
+        gain=(pairs.fixed - pairs.broken) / n, gain_low=low, gain_high=high)
+
+
+def _side(policy: str, branches: Branches, row: int) -> Side:
+    success, why = branches.success[row], Counter(name for name in branches.why[row] if name)
+    return Side(policy=policy, success=wilson(int(success.sum()), len(success)), why=dict(sorted(why.items())))

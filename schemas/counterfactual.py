@@ -1,0 +1,93 @@
+"""Judgement: who was right where two policies disagreed, found by letting both go on from the same moment."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from schemas.base import Frozen, ShortId
+from schemas.verdict import Proportion
+
+type Right = Literal["champion", "candidate", "both", "neither"]
+type Wrong = Literal["champion", "candidate", "both"]
+
+
+class JudgeConfig(Frozen):
+    """What counts as a lasting disagreement, and how thoroughly it is judged."""
+
+    threshold: float = Field(
+        default=0.1, gt=0, description="disagreement from which two policies are apart, in scales of the action")
+    lasting: int = Field(default=3, ge=1, description="ticks that it has to stay there")
+    draws: int = Field(default=16, ge=2, description="noise and physics draws of each policy")
+    most: int | None = Field(default=None, ge=1, description="moments judged, drawn at random; all where None")
+    seed: int = Field(default=0, ge=0, description="of the draws, and of which moments are judged")
+
+
+class Side(Frozen):
+    """How one policy ended its branches of a moment."""
+
+    policy: ShortId
+    success: Proportion
+    why: dict[str, int] = Field(default={}, description="failure family -> branches that it ended")
+
+    @property
+    def right(self) -> bool:
+        """Whether it succeeded in at least half of its branches."""
+        return 2 * self.success.successes >= self.success.n
+
+    @property
+    def decided(self) -> bool:
+        """Whether the interval of its success leaves out one half."""
+        return self.success.low > 0.5 or self.success.high < 0.5
+
+    @property
+    def main_reason(self) -> str | None:
+        """The failure family that ended most branches, the first by name among equals; None where none failed."""
+        return min(self.why, key=lambda name: (-self.why[name], name), default=None)
+
+
+class Judgement(Frozen):
+    """One disagreement, judged."""
+
+    id: ShortId
+    episode: ShortId
+    tick: int = Field(ge=0, description="where the disagreement begins: both policies go on from here")
+    lasted: int = Field(ge=1, description="ticks that the disagreement lasted in the recording")
+    disagreement: float = Field(ge=0, description="mean over those ticks, in scales of the action")
+    phase: str = Field(description="subtask at that tick")
+    stratum: str = Field(description="kind of start, as perceived")
+    champion: Side
+    candidate: Side
+    fixed: int = Field(ge=0, description="draws that only the candidate solves")
+    broken: int = Field(ge=0, description="draws that only the champion solves")
+    gain: float = Field(ge=-1, le=1, description="success of the candidate minus that of the champion")
+    gain_low: float = Field(ge=-1, le=1, description="lower limit at 95 % (Tango's score interval of paired draws)")
+    gain_high: float = Field(ge=-1, le=1)
+    estimated: bool = Field(default=False, description="the state was estimated from what the robot sensed")
+    replay_error_m: float = Field(
+        default=0.0, ge=0, description="how far the replayed commands miss the recording; 0 where the state is exact")
+
+    @property
+    def verdict(self) -> Right:
+        """Who was right: succeeded in at least half of its branches."""
+        if self.champion.right:
+            return "both" if self.candidate.right else "champion"
+        return "candidate" if self.candidate.right else "neither"
+
+    @property
+    def decided(self) -> bool:
+        """Whether the intervals of both leave out one half."""
+        return self.champion.decided and self.candidate.decided
+
+    @property
+    def wrong(self) -> Wrong | None:
+        """Who was wrong for certain: its interval lies below one half."""
+        champion, candidate = (s.decided and not s.right for s in (self.champion, self.candidate))
+        return "both" if champion and candidate else "champion" if champion else "candidate" if candidate else None
+
+
+class Refusal(Frozen):
+    """A disagreement that was not judged, and why."""
+
+    episode: ShortId
+    tick: int = Field(ge=0)
+    reason: str
