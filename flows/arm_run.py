@@ -116,7 +116,11 @@ class ArmRun:
 
     def policy(self, policy: str) -> OnnxPolicy:
         """The released form of a policy, ready to act."""
-        return OnnxPolicy(self.store.path(self.store.policy(policy).checkpoint) / "policy.onnx")
+        return OnnxPolicy(self.file(policy))
+
+    def file(self, policy: str) -> Path:
+        """The released form of a policy."""
+        return self.store.path(self.store.policy(policy).checkpoint) / "policy.onnx"
 
     def folder(self) -> Path:
         """Where this run's files wait until they are in the store; what a killed run left there is overwritten."""

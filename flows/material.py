@@ -154,7 +154,6 @@ class Material:
                 results: dict[str, Any] = dict(step.outputs["results"])  # type: ignore[arg-type]
                 yield from results.items()
 
-    def rider(self, champion: str) -> str | None:
-        """A policy to ride in the champion's shadow: the newest other one of this run."""
-        others = [p.id for p in self._store.policies(run=self._run) if p.id != champion]
-        return others[-1] if others else None
+    def riders(self, champion: str, count: int) -> list[str]:
+        """Policies to ride in the champion's shadow: the newest others of this run, the newest first."""
+        return [p.id for p in reversed(self._store.policies(run=self._run)) if p.id != champion][:count]

@@ -8,10 +8,11 @@ from pydantic import JsonValue
 from flows import facts, summary
 from flows.arm_run import ArmRun, Made, no_rows
 from flows.steps_api import Progress
+from pipeline.shadow.riders import Riders
 from pipeline.simulation.recordings import Recorded
 from pipeline.store import Transaction
 from schemas.scene import SceneSpec
-from stages.deploy import Rider, deploy, deploy_scenes
+from stages.deploy import deploy, deploy_scenes
 from stages.exam import ExamResult, exam, success_by
 from stages.harvest import Attempt, Harvested, demonstrate, harvest
 
@@ -49,13 +50,16 @@ def deployed(run: ArmRun, generation: int) -> Made:
     if not run.arm.deploys:
         return Made((), "this arm does not deploy", {"robot_s": 0.0}, no_rows)
     champion = run.champion(generation)
-    rider = run.material.rider(champion) if run.recipe.deploy.shadow else None
-    done = deploy(run.policy(champion), champion, run.recipe, seed=run.seed, twin=run.twin, generation=generation,
-                  folder=run.folder(), software=facts.software("deploy"),
-                  rider=Rider(rider, run.policy(rider)) if rider else None)
+    config = run.recipe.deploy
+    others = run.material.riders(champion, config.riders) if config.shadow else []
+    with Riders({id: run.file(id) for id in others}, patient=True) as riders:
+        done = deploy(run.policy(champion), champion, run.recipe, seed=run.seed, twin=run.twin, generation=generation,
+                      folder=run.folder(), software=facts.software("deploy"), riders=riders)
     numbers: dict[str, JsonValue] = {
         "robot_s": done.robot_s, "truth": "".join("01"[int(t)] for t in done.truth),
         "disagreement": [None if np.isnan(d) else round(float(d), 5) for d in done.disagreement]}
+    if done.shadows:
+        numbers["shadows"] = dict(done.shadows)
     flagged = sum(r.episode.outcome.label == "failure" for r in done.recorded)
     says = f"{flagged} of {len(done.recorded)} attempts flagged by the robot"
     return run.recorded(done.recorded, says, numbers)

@@ -12,6 +12,11 @@ def _none_given(cameras: object) -> bool:
     return not cameras
 
 
+def _one_alone(riders: object) -> bool:
+    """One rider is what there was before recipes could ask for more: their ids stay as they were."""
+    return riders == 1
+
+
 class CollectConfig(Frozen):
     """Scripted demonstrations of generation 0."""
 
@@ -108,6 +113,8 @@ class DeployConfig(Frozen):
     episodes: int = Field(default=150, ge=1)
     rare_share: float = Field(default=0.12, ge=0, le=1)
     shadow: bool = True
+    riders: int = Field(default=1, ge=1, le=16, exclude_if=_one_alone,
+                        description="how many candidates ride in the champion's shadow, the newest first")
 
 
 class HarvestConfig(Frozen):

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.disagreement import disagreement
-from pipeline.policies.onnx_policy import OnnxPolicy
 from pipeline.protocols import Array, Ids, Observation, Policy
+from pipeline.shadow.riders import Riders
+from pipeline.shadow.targets import joint_targets
 from pipeline.simulation.recordings import Recorded, episode_id, record
 from pipeline.simulation.rollout import rollout
 from pipeline.simulation.tasks import mixed_strata, sample_scene, scene_seed
@@ -24,14 +25,6 @@ from schemas.scene import SceneSpec
 
 
 @dataclass(frozen=True, slots=True)
-class Rider:
-    """A policy in the champion's shadow: it sees what the champion sees and never acts."""
-
-    id: str
-    policy: OnnxPolicy
-
-
-@dataclass(frozen=True, slots=True)
 class Deployed:
     """Recorded attempts; the truth is for the report alone."""
 
@@ -41,11 +34,13 @@ class Deployed:
     robot_s: float
     """Robot time spent [s]."""
     disagreement: Array
-    """Mean disagreement of the rider with the champion in each attempt, NaN without one, shape (n,)."""
+    """Mean disagreement of the first rider with the champion in each attempt, NaN without an answer, shape (n,)."""
+    shadows: Mapping[str, str]
+    """Candidate that rode along -> what became of it, see pipeline.shadow.riders.Riders.states."""
 
 
 def deploy(policy: Policy, policy_id: str, recipe: Recipe, *, seed: int, twin: int, generation: int, folder: Path,
-           software: Mapping[str, str], rider: Rider | None = None) -> Deployed:
+           software: Mapping[str, str], riders: Riders | None = None) -> Deployed:
     """Let the policy work on the twin; an attempt ends when the robot believes in success or a trigger fires.
 
     Args:
@@ -57,21 +52,22 @@ def deploy(policy: Policy, policy_id: str, recipe: Recipe, *, seed: int, twin: i
         generation: lap of the loop.
         folder: where the MCAP files are written.
         software: strings for each file's metadata record.
-        rider: another policy to ride along.
+        riders: candidates to ride along; the caller ends them.
     """
     scenes = deploy_scenes(recipe, seed=seed, twin=twin, generation=generation)
     world = twin_world(draw_twin(twin), scenes, threads=recipe.threads)
     watch = _Watch(world, recipe.harvest)
-    driver = policy if rider is None else _Ridden(policy, rider, world, watch.tracer)
+    driver = policy if riders is None else _Ridden(policy, riders, world, watch.tracer)
+    if riders is not None:
+        riders.ready()
     driver.reset(world.n)
     result = rollout(world, driver, watch=watch.tick, tracer=watch.tracer, until_success=False)
     traces = watch.tracer.traces()
     episodes = [_episode(scene, trace, watch, i, policy_id, generation)
                 for i, (scene, trace) in enumerate(zip(scenes, traces, strict=True))]
     recorded = record(folder, world.setup, episodes, traces, config=recipe.harvest.model_dump(), software=software)
-    nothing = np.full(world.n, np.nan)
-    mean = np.array([t.shadows[rider.id].disagreement.mean() for t in traces]) if rider else nothing
-    return Deployed(tuple(recorded), result.success, float(result.ticks.sum() / world.control_hz), mean)
+    return Deployed(tuple(recorded), result.success, float(result.ticks.sum() / world.control_hz),
+                    np.array([_mean_apart(t) for t in traces]), riders.states() if riders else {})
 
 
 def deploy_scenes(recipe: Recipe, *, seed: int, twin: int, generation: int) -> list[SceneSpec]:
@@ -82,23 +78,38 @@ def deploy_scenes(recipe: Recipe, *, seed: int, twin: int, generation: int) -> l
                          scene=recipe.scene, twin=twin) for i, name in enumerate(names)]
 
 
-class _Ridden:
-    """The champion with a rider in its shadow: same observations, and the rider's actions go to the record alone."""
+def _mean_apart(trace: Trace) -> float:
+    """Mean disagreement of the first rider, over the ticks that it answered; NaN where there are none."""
+    for shadow in trace.shadows.values():
+        known = shadow.disagreement[np.isfinite(shadow.disagreement)]
+        return float(known.mean()) if len(known) else np.nan
+    return np.nan
 
-    def __init__(self, champion: Policy, rider: Rider, world: World, tracer: Tracer) -> None:
-        self._champion, self._rider, self._world, self._tracer = champion, rider, world, tracer
+
+class _Ridden:
+    """The champion with riders in its shadow: same observations, and the riders' answers go to the record alone."""
+
+    def __init__(self, champion: Policy, riders: Riders, world: World, tracer: Tracer) -> None:
+        self._champion, self._riders, self._world, self._tracer = champion, riders, world, tracer
+        self._tick = 0
 
     def reset(self, n: int) -> None:
-        """Prepare both for n attempts."""
+        """Prepare all for n attempts."""
         self._champion.reset(n)
-        self._rider.policy.reset(n)
+        self._riders.reset(n)
+        self._tick = 0
 
     def act(self, observation: Observation, ids: Ids) -> Array:
         """The champion's actions, untouched."""
         action = self._champion.act(observation, ids)
-        other = self._rider.policy.act(observation, ids)
-        self._tracer.pend(f"shadow/{self._rider.id}/joint", self._world.would_send(other, ids))
-        self._tracer.pend(f"shadow/{self._rider.id}/disagreement", disagreement(other, action))
+        self._riders.offer(observation, ids)
+        for id, other in self._riders.answers().items():
+            self._tracer.pend(f"shadow/{id}/joint", joint_targets(self._world.would_send, other, ids))
+            self._tracer.pend(f"shadow/{id}/disagreement", disagreement(other, action))
+        for id, state in self._riders.news():
+            for attempt in ids:
+                self._tracer.events[int(attempt)].append(Event(self._tick, 30, "shadow", f"{id} {state}"))
+        self._tick += 1
         return action
 
     def memory(self, ids: Ids) -> Array:

@@ -10,6 +10,7 @@ import pytest
 from pipeline.lerobot_view.training_data import TrainingData
 from pipeline.policies.onnx_policy import OnnxPolicy
 from pipeline.recording import read_episode, read_frames
+from pipeline.shadow.riders import Riders
 from schemas.recipe import (
     AugmentConfig,
     CollectConfig,
@@ -22,7 +23,7 @@ from schemas.recipe import (
 from stages.augment import Augmented, augment
 from stages.build import build
 from stages.collect import collect
-from stages.deploy import Deployed, Rider, deploy
+from stages.deploy import Deployed, deploy
 from stages.harvest import Attempt, Harvested, harvest
 from stages.train import train
 
@@ -112,9 +113,10 @@ def deploy_with(recipe, learnt, policy, tmp_path_factory) -> Callable[..., Deplo
     """Lets the champion work, with a policy in its shadow or without one."""
 
     def work(rider=None) -> Deployed:
-        shadow = None if rider is None else Rider(rider.id, policy(rider))
-        return deploy(policy(learnt.champion), learnt.champion.id, recipe, seed=SEED, twin=TWIN, generation=0,
-                      folder=tmp_path_factory.mktemp("deployed"), software=SOFTWARE, rider=shadow)
+        files = {} if rider is None else {rider.id: learnt.store / rider.checkpoint / "policy.onnx"}
+        with Riders(files, patient=True) as riders:
+            return deploy(policy(learnt.champion), learnt.champion.id, recipe, seed=SEED, twin=TWIN, generation=0,
+                          folder=tmp_path_factory.mktemp("deployed"), software=SOFTWARE, riders=riders)
 
     return work
 

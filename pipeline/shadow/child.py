@@ -1,0 +1,79 @@
+"""The candidate's side of candidate.py: loads one policy file behind the fence, then answers questions.
+
+Run: python -P -m pipeline.shadow.child SOCKET PARENT MEMORY_BYTES CPU_S IDLE FILE
+"""
+
+import socket
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.errors import PolicyError, one_line
+from pipeline.frames import ENVIRONMENT, STATE
+from pipeline.protocols import Observation
+from pipeline.shadow import fence, wire
+
+if TYPE_CHECKING:
+    from pipeline.policies.onnx_policy import OnnxPolicy
+
+WARM_UP = 3
+"""Answers to nobody before the first question: the runtime lays out its memory at the first."""
+
+
+def main() -> None:
+    """Answer questions until the control loop is gone."""
+    number, parent, memory_bytes, cpu_s, idle, file = sys.argv[1:]
+    fence.die_with(int(parent))
+    fence.step_back(idle=idle == "1")
+    fence.drop_rights()
+    from pipeline.policies import onnx_policy  # the runtime starts a thread, which shall have no rights either
+
+    with socket.socket(fileno=int(number)) as line:
+        fence.limit(int(memory_bytes), float(cpu_s))
+        fence.enclose(reading=True)
+        try:
+            policy = _warm(onnx_policy.OnnxPolicy(Path(file)))
+        except PolicyError as error:
+            line.send(wire.word(wire.REFUSED, f"{error.what} (mend: {error.mend})"))
+            return
+        except MemoryError:
+            line.send(wire.word(wire.REFUSED, _short(int(memory_bytes))))
+            return
+        fence.no_more_files()
+        fenced = fence.enclose(reading=False)
+        line.send(wire.word(wire.READY, "no new files, no calls" if fenced else "no new files"))
+        _serve(policy, line, int(memory_bytes))
+
+
+def _warm(policy: "OnnxPolicy") -> "OnnxPolicy":
+    seen = Observation(np.zeros((1, len(STATE))), np.zeros((1, len(ENVIRONMENT))))
+    for _ in range(WARM_UP):
+        policy.chunks(seen)
+    return policy
+
+
+def _serve(policy: "OnnxPolicy", line: socket.socket, memory_bytes: int) -> None:
+    epoch, expected = -1, -1
+    while packet := line.recv(wire.MAX_PACKET):
+        asked = wire.asked(packet)
+        if asked.epoch != epoch or asked.number != expected:  # another batch, or a tick was lost on the way
+            policy.reset(asked.attempts)
+        epoch, expected = asked.epoch, asked.number + 1
+        try:
+            said = wire.answer(asked.number, policy.act(asked.observation, asked.ids))
+        except (PolicyError, MemoryError) as error:
+            short = isinstance(error, MemoryError) or "alloc" in str(error.__cause__)
+            why = _short(memory_bytes) if short else one_line(error.__cause__ or error)
+            line.send(wire.word(wire.FAILED, why, asked.number))
+            return
+        line.send(said)
+
+
+def _short(memory_bytes: int) -> str:
+    return f"takes more than {memory_bytes / 2**20:.0f} MiB of memory"
+
+
+if __name__ == "__main__":
+    main()
