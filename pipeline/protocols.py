@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,8 @@ class Observation:
     """See pipeline.frames.STATE, shape (n, 16)."""
     environment: Array
     """See pipeline.frames.ENVIRONMENT, shape (n, 7)."""
+    pictures: Mapping[str, NDArray[np.uint8]] = field(default_factory=dict[str, NDArray[np.uint8]])
+    """Camera -> RGB, shape (n, height, width, 3); only those that the policy asked for, see SeeingPolicy."""
 
 
 class Policy(Protocol):
@@ -40,6 +42,16 @@ class Policy(Protocol):
 
     def memory(self, ids: Ids) -> Array:
         """The memory of the attempts as rows (len(ids), w), w may be 0: part of a restorable state."""
+        ...
+
+
+@runtime_checkable
+class SeeingPolicy(Policy, Protocol):
+    """A policy that wants pictures."""
+
+    @property
+    def cameras(self) -> Mapping[str, tuple[int, int]]:
+        """Camera -> height and width of the pictures that it wants [px]."""
         ...
 
 

@@ -16,14 +16,16 @@ from onnx import numpy_helper, shape_inference
 from pipeline.errors import PolicyError
 from pipeline.frames import ACTION, ENVIRONMENT, STATE
 
-OPERATORS = frozenset({"Add", "Concat", "Cos", "Div", "Gelu", "Gemm", "LayerNormalization", "MatMul", "Mul", "Relu",
-                       "Reshape", "Sin", "Slice", "Split", "Sub", "Tanh"})
+OPERATORS = frozenset({"Add", "Concat", "Conv", "Cos", "Div", "Gelu", "Gemm", "LayerNormalization", "MatMul", "MaxPool",
+                       "Mul", "Relu", "Reshape", "Sin", "Slice", "Softmax", "Split", "Sub", "Tanh", "Transpose"})
 """All of them arithmetic on tensors: none reads files, loops, branches or holds a graph of its own."""
 
 MAX_BYTES, MAX_NODES, MAX_VALUES = 64 << 20, 1000, 1 << 20
 """Limits of the file, of the graph, and of the values an attempt may take in any intermediate result."""
 
 MAX_CHUNK = 1024
+MAX_EDGE = 512
+"""Of a picture [px]."""
 
 untyped: Any = numpy_helper
 """Its arrays have no element types."""
@@ -45,6 +47,31 @@ def checked_model(path: Path) -> tuple[bytes, int, dict[str, str]]:
     Raises:
         PolicyError: what is wrong with the file, and the mend.
     """
+    data, model = _checked(path)
+    _check_inputs(model, {"state": (0, len(STATE)), "environment": (0, len(ENVIRONMENT))}, path)
+    return data, _check_shapes(model, path), _told(model)
+
+
+def checked_seeing_model(path: Path) -> tuple[bytes, int, dict[str, str], tuple[int, int]]:
+    """The same for a policy that sees: its inputs are the robot's own state and pictures of one camera.
+
+    Returns:
+        What checked_model returns, and height and width of the pictures [px].
+
+    Raises:
+        PolicyError: what is wrong with the file, and the mend.
+    """
+    data, model = _checked(path)
+    seen = next((_sizes(value) for value in model.graph.input if value.name == "pictures"), None)
+    height, width = seen[2:] if seen is not None and len(seen) == 4 else (0, 0)
+    if not (1 <= height <= MAX_EDGE and 1 <= width <= MAX_EDGE):
+        raise PolicyError(f"pictures of sizes {seen}", where=path,
+                          mend=f"train on pictures of one camera, at most {MAX_EDGE}x{MAX_EDGE}")
+    _check_inputs(model, {"state": (0, len(STATE)), "pictures": (0, 3, height, width)}, path)
+    return data, _check_shapes(model, path), _told(model), (height, width)
+
+
+def _checked(path: Path) -> tuple[bytes, onnx.ModelProto]:
     data = _read(path)
     try:
         model = onnx.load_model_from_string(data)
@@ -52,8 +79,11 @@ def checked_model(path: Path) -> tuple[bytes, int, dict[str, str]]:
         raise PolicyError("not an ONNX file", where=path, mend=EXPORT) from error
     _check_operators(model, path)
     _check_constants(model, path)
-    chunk = _check_shapes(model, path)
-    return data, chunk, {entry.key: entry.value for entry in model.metadata_props}
+    return data, model
+
+
+def _told(model: onnx.ModelProto) -> dict[str, str]:
+    return {entry.key: entry.value for entry in model.metadata_props}
 
 
 def _read(path: Path) -> bytes:
@@ -110,14 +140,16 @@ def _sizes(value: onnx.ValueInfoProto) -> tuple[int, ...] | None:
     return tuple(d.dim_value if d.HasField("dim_value") else 0 for d in kind.shape.dim)
 
 
-def _check_shapes(model: onnx.ModelProto, path: Path) -> int:
-    """Check inputs, output and every intermediate result; return the length of the chunks."""
+def _check_inputs(model: onnx.ModelProto, expected: dict[str, tuple[int, ...]], path: Path) -> None:
     inputs = {value.name: _sizes(value) for value in model.graph.input}
-    outputs = {value.name: _sizes(value) for value in model.graph.output}
-    expected = {"state": (0, len(STATE)), "environment": (0, len(ENVIRONMENT))}
     if inputs != expected:
         raise PolicyError(f"inputs {inputs}, the robot gives {expected} (0: any number of attempts)", where=path,
                           mend="train on a dataset version of this robot")
+
+
+def _check_shapes(model: onnx.ModelProto, path: Path) -> int:
+    """Check the output and every intermediate result; return the length of the chunks."""
+    outputs = {value.name: _sizes(value) for value in model.graph.output}
     out = outputs.get("chunk")
     if len(outputs) != 1 or out is None or len(out) != 3 or out[0] != 0 or out[2] != len(ACTION) \
             or not 1 <= out[1] <= MAX_CHUNK:

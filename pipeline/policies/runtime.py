@@ -1,5 +1,6 @@
 """ONNX Runtime as we use it: one thread unless told otherwise, no spinning, two inputs, one output."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -28,4 +29,8 @@ class Session:
 
     def run(self, state: NDArray[np.float32], environment: NDArray[np.float32]) -> NDArray[np.float32]:
         """Chunks (n, chunk, 5) for state (n, 16) and environment (n, 7)."""
-        return self._session.run(["chunk"], {"state": state, "environment": environment})[0]
+        return self.run_named({"state": state, "environment": environment})
+
+    def run_named(self, inputs: Mapping[str, NDArray[np.float32]]) -> NDArray[np.float32]:
+        """Chunks (n, chunk, 5) for inputs by name, n rows each."""
+        return self._session.run(["chunk"], dict(inputs))[0]

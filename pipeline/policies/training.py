@@ -57,7 +57,7 @@ class Fitted:
 
 
 @contextmanager
-def _deterministic(threads: int) -> Generator[None]:
+def deterministic(threads: int) -> Generator[None]:
     """PyTorch with a fixed thread count and deterministic kernels; what was set before comes back after."""
     # `use_deterministic_algorithms` is the same switch, but imports PyTorch's compiler first: 1 s, 110 MB.
     before, strictness = torch.get_num_threads(), torch.get_deterministic_debug_mode()
@@ -197,7 +197,7 @@ def fit(data: TrainingSource, config: TrainConfig, seed: int, *, resume_from: Pa
     Raises:
         PolicyError: samples do not fit the robot, the checkpoint is of another training, or training diverges.
     """
-    with _deterministic(threads):
+    with deterministic(threads):
         trainer = _Trainer(data, config, seed)
         if resume_from is not None:
             trainer.resume(resume_from)

@@ -126,6 +126,7 @@ class FilmCamera:
         self.model, self.width, self.height = model, width, height
         self._data = mujoco.MjData(model)
         self._view = _view(model, camera)
+        self._shift_m = self._turn_rad = np.zeros(3)
         self._option = mujoco.MjvOption()
         self._context = _open_context(width, height)
         shadows, model.vis.quality.shadowsize = model.vis.quality.shadowsize, 0  # else 67 MB for a map nobody draws
@@ -155,6 +156,20 @@ class FilmCamera:
         """See through another camera from now on; SimulationError where the model has none of that name."""
         self._view = _view(self.model, camera)
 
+    def move(self, shift_m: NDArray[np.float64], turn_rad: NDArray[np.float64]) -> None:
+        """See from elsewhere from now on, relative to the camera's own pose and along its own axes.
+
+        Args:
+            shift_m: how far right, up and back [m], shape (3,).
+            turn_rad: pan to the left, tilt up, roll of the camera to the left [rad], shape (3,).
+        """
+        self._shift_m, self._turn_rad = shift_m, turn_rad
+
+    def retexture(self, texture: int) -> None:
+        """Hand a texture of the model that was changed to the renderer."""
+        self._context.make_current()
+        mujoco.mjr_uploadTexture(self.model, self._renderer, texture)
+
     def frames(self, rows: NDArray[np.float64]) -> NDArray[np.uint8]:
         """Pictures of k states, mjSTATE_INTEGRATION rows of shape (k, nstate): (k, height, width, 3).
 
@@ -179,6 +194,7 @@ class FilmCamera:
             mujoco.mj_camlight(self.model, self._data)
             mujoco.mjv_updateScene(self.model, self._data, self._option, None, self._view,
                                    mujoco.mjtCatBit.mjCAT_ALL.value, self._scene)
+            _move(self._scene, self._shift_m, self._turn_rad)
             mujoco.mjr_render(window, self._scene, self._renderer)
             mujoco.mjr_readPixels(picture, None, window, self._renderer)
         return pictures[:, ::-1]  # OpenGL counts rows from below
@@ -222,6 +238,22 @@ def _view(model: mujoco.MjModel, camera: str | View | None) -> mujoco.MjvCamera:
     view.type = mujoco.mjtCamera.mjCAMERA_FIXED.value
     view.fixedcamid = names.index(camera)
     return view
+
+
+def _move(scene: Any, shift_m: NDArray[np.float64], turn_rad: NDArray[np.float64]) -> None:
+    """Move both eyes of a scene's camera; small angles, one turn after the other."""
+    if not shift_m.any() and not turn_rad.any():
+        return
+    pan, tilt, roll = turn_rad
+    for eye in scene.camera:
+        forward, up = np.array(eye.forward, np.float64), np.array(eye.up, np.float64)
+        right = np.cross(forward, up)
+        eye.pos = eye.pos + shift_m @ np.stack([right, up, -forward])
+        forward = forward + np.tan(tilt) * up - np.tan(pan) * right
+        forward /= np.linalg.norm(forward)
+        up = up - np.tan(roll) * right
+        up -= (up @ forward) * forward
+        eye.forward, eye.up = forward, up / np.linalg.norm(up)
 
 
 def _first_bad(rows: NDArray[np.float64]) -> int:

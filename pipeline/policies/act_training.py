@@ -1,0 +1,263 @@
+"""Behaviour cloning of ACT from one camera and the robot's own state.
+
+As in pipeline.policies.training the batches of a step follow from the seed and the number of the step, so that a
+training resumed at any checkpoint ends in the same bits on one machine.
+
+In training a second, linear head on the backbone's features says where cube and mark are, as the demonstrator perceived
+them. Actions alone say that too seldom and too indirectly for the few minutes that we have. The head is thrown away
+afterwards: the policy is shown pictures and the robot's own state, and nothing else.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from lerobot.policies.act.modeling_act import ACTPolicy  # pyright: ignore[reportMissingTypeStubs]
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from pipeline.errors import ConfigError, PolicyError
+from pipeline.files import short_id
+from pipeline.footage import FEATURE
+from pipeline.frames import ACTION, ENVIRONMENT, STATE
+from pipeline.policies.act_net import CHANNELS, ActShape, load, measure_norms, narrow, weights_of
+from pipeline.policies.network import Weights, array, tensor
+from pipeline.policies.optimiser import FlatAdamW, one_cycle
+from pipeline.policies.resuming import VECTORS, Curve, Progress, load_progress, save_progress
+from pipeline.policies.training import deterministic
+from schemas.recipe import TrainConfig
+
+type F32 = NDArray[np.float32]
+
+POINTS = 15
+"""Points of the loss curves."""
+STATISTICS_ROWS, HELD_OUT_ROWS = 512, 256
+FLOOR, ACTION_FLOOR, PIXEL_FLOOR = 1e-3, 1e-4, 1.0
+"""Smallest standard deviation of what is normalised [m or rad; 1 of 255 for pixels]."""
+LONGEST_GRADIENT = 10.0
+"""lerobot's own limit of the gradient's norm."""
+HINT = 0.5
+"""Weight of the loss of the head that says where cube and mark are."""
+SYMMETRY = 4.0
+"""A square cube is the same after a turn of 2 pi / 4."""
+STATISTICS, TRAIN = 1, 2
+"""Independent streams of randomness under one seed."""
+
+
+class PictureSource(Protocol):
+    """A dataset version with pictures; see pipeline.lerobot_view.samples.Samples."""
+
+    @property
+    def films(self) -> Mapping[str, Any]:
+        """Picture feature -> its frames."""
+        ...
+
+    @property
+    def held_out_rows(self) -> NDArray[np.intp]:
+        """Rows of the validation split."""
+        ...
+
+    def draw(self, rng: np.random.Generator, batch: int) -> NDArray[np.intp]:
+        """Rows by their chances."""
+        ...
+
+    def gather(self, rows: NDArray[np.intp], deltas: Mapping[str, Sequence[int]], *,
+               pictures: Any) -> dict[str, NDArray[Any]]:
+        """The samples of these rows."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Scales:
+    """Mean and standard deviation of what goes in and comes out."""
+
+    pixel_mean: F32
+    """Of the pictures' channels, in [0, 255], shape (3,)."""
+    pixel_std: F32
+    state_mean: F32
+    """Of observation.state, shape (16,)."""
+    state_std: F32
+    action_mean: F32
+    """Of the training actions, shape (5,), in the units of pipeline.frames.ACTION."""
+    action_std: F32
+
+
+@dataclass(frozen=True, slots=True)
+class FittedAct:
+    """A trained policy and everything its files are made from."""
+
+    shape: ActShape
+    weights: Weights
+    """By their names in lerobot's ACTPolicy, in the shapes of the narrow backbone."""
+    scales: Scales
+    train_loss: tuple[tuple[int, float], ...]
+    """(step, mean L1 on normalised actions since the point before)."""
+    held_out_loss: tuple[tuple[int, float], ...]
+
+    def policy(self) -> ACTPolicy:
+        """The narrow policy with the trained weights, in evaluation mode."""
+        return load(narrow(self.shape), self.weights)
+
+
+def _shape(data: PictureSource, config: TrainConfig) -> ActShape:
+    if len(data.films) != 1:
+        raise ConfigError(f"ACT takes one camera, the version has {len(data.films)}", where="dataset.cameras",
+                          mend="name one camera in the recipe: dataset.cameras.close: {width: 96, height: 96}")
+    (feature, films), = data.films.items()
+    _, height, width, _ = films[0].shape
+    return ActShape(feature.removeprefix(FEATURE), height, width, config.chunk, config.width, config.depth,
+                    config.shrink)
+
+
+def _moments(values: NDArray[Any], floor: float) -> tuple[F32, F32]:
+    flat = values.reshape(-1, values.shape[-1]).astype(np.float64)
+    return flat.mean(0).astype(np.float32), flat.std(0).clip(floor).astype(np.float32)
+
+
+def places(environment: F32) -> F32:
+    """What the hint is about: cube x, y, z, mark x, y [m], and the cube's yaw as a square has it, shape (b, 7)."""
+    yaw = SYMMETRY * environment[:, ENVIRONMENT.index("object_yaw"), None]
+    return np.concatenate([environment[:, :3], environment[:, 4:6], np.cos(yaw), np.sin(yaw)], 1).astype(np.float32)
+
+
+class _Trainer:
+    """One training: policy, optimiser, statistics and where it stands."""
+
+    def __init__(self, data: PictureSource, config: TrainConfig, seed: int) -> None:
+        self.data, self.config, self.seed = data, config, seed
+        self.shape = _shape(data, config)
+        self.deltas = {"action": range(config.chunk)}
+        self.scales, self.hint_scale, seen = self._statistics()
+        torch.manual_seed(seed)
+        self.policy = narrow(self.shape)
+        pixels = CHANNELS // self.shape.shrink * math.ceil(self.shape.height / 32) * math.ceil(self.shape.width / 32)
+        self.head = nn.Linear(pixels, len(self.hint_scale[0]))
+        self.features: Tensor | None = None
+        model: Any = self.policy.model
+        model.backbone.register_forward_hook(self._keep)
+        measure_norms(self.policy, self.pictures(seen))
+        self.identity = short_id(
+            config.model_dump_json(), seed, torch.__version__, self.shape,
+            *(getattr(self.scales, name).tobytes().hex() for name in Scales.__slots__))
+        self.policy.train()
+        self.optimiser = FlatAdamW([*self.policy.parameters(), *self.head.parameters()])
+        self.step, self.window = 0, 0.0
+        self.train_loss: Curve = []
+        self.held_out_loss: Curve = []
+        thin = max(1, -(-len(data.held_out_rows) // HELD_OUT_ROWS))
+        rows = data.held_out_rows[::thin]
+        self.held_out = self.tensors(rows) if len(rows) else None
+
+    def _statistics(self) -> tuple[Scales, tuple[F32, F32], NDArray[np.uint8]]:
+        rows = self.data.draw(np.random.default_rng((self.seed, STATISTICS)), STATISTICS_ROWS)
+        found = self.data.gather(rows, self.deltas, pictures="bytes")
+        state, actions = found["observation.state"], found["action"]
+        for values, width in ((state, len(STATE)), (actions, len(ACTION))):
+            if values.shape[-1] != width or not np.isfinite(values).all():
+                raise PolicyError(f"training samples of {values.shape[-1]} values, the robot has {width}, all finite",
+                                  where="dataset version", mend="build the version again: hardcase build")
+        seen = found[self.shape.feature]
+        scales = Scales(*_moments(seen.transpose(0, 2, 3, 1), PIXEL_FLOOR), *_moments(state, FLOOR),
+                        *_moments(actions[~found["action_is_pad"]], ACTION_FLOOR))
+        return scales, _moments(places(found["observation.environment_state"]), FLOOR), seen
+
+    def _keep(self, backbone: nn.Module, given: object, found: dict[str, Tensor]) -> None:
+        self.features = found["feature_map"]
+
+    def pictures(self, seen: NDArray[np.uint8]) -> Tensor:
+        """Normalised pictures (b, 3, height, width)."""
+        mean, std = (v[:, None, None] for v in (self.scales.pixel_mean, self.scales.pixel_std))
+        return tensor((seen - mean) / std)
+
+    def tensors(self, rows: NDArray[np.intp]) -> tuple[dict[str, Tensor], Tensor]:
+        """A batch as lerobot's policy takes it, normalised, and where cube and mark are."""
+        found, s = self.data.gather(rows, self.deltas, pictures="bytes"), self.scales
+        batch = {
+            self.shape.feature: self.pictures(found[self.shape.feature]),
+            "observation.state": tensor((found["observation.state"] - s.state_mean) / s.state_std),
+            "action": tensor((found["action"] - s.action_mean) / s.action_std),
+            "action_is_pad": tensor(found["action_is_pad"]),
+        }
+        mean, std = self.hint_scale
+        return batch, tensor((places(found["observation.environment_state"]) - mean) / std)
+
+    def losses(self, batch: dict[str, Tensor], where: Tensor) -> tuple[Tensor, Tensor]:
+        """lerobot's loss of the actions, and that of the hint."""
+        loss, _ = self.policy.forward(batch)
+        assert self.features is not None
+        return loss, F.smooth_l1_loss(self.head(self.features.flatten(1)), where)
+
+    def update(self) -> None:
+        """One step; a point of the curves where one is due."""
+        rows = self.data.draw(np.random.default_rng((self.seed, TRAIN, self.step)), self.config.batch)
+        loss, hint = self.losses(*self.tensors(rows))
+        (loss + HINT * hint).backward()  # pyright: ignore[reportUnknownMemberType]
+        length = float(self.optimiser.gradient.norm())
+        if length > LONGEST_GRADIENT:
+            self.optimiser.gradient.mul_(LONGEST_GRADIENT / length)
+        self.optimiser.step(self.step, one_cycle(self.step, self.config.steps, self.config.learning_rate))
+        self.window += loss.item()
+        self.step += 1
+        every = max(1, self.config.steps // POINTS)
+        if self.step % every == 0:
+            self._point(every)
+
+    def _point(self, every: int) -> None:
+        if not math.isfinite(self.window):
+            raise PolicyError(f"training diverged before step {self.step}",
+                              where=f"learning_rate {self.config.learning_rate}", mend="lower train.learning_rate")
+        self.train_loss.append((self.step, self.window / every))
+        self.window = 0.0
+        if self.held_out is not None:
+            with torch.no_grad():
+                self.held_out_loss.append((self.step, self.losses(*self.held_out)[0].item()))
+
+    def progress(self) -> Progress:
+        """What a checkpoint holds."""
+        vectors = {name: array(getattr(self.optimiser, name)) for name in VECTORS}
+        return Progress(self.step, self.window, self.train_loss, self.held_out_loss, vectors)
+
+    def resume(self, path: Path) -> None:
+        """Go back to where a checkpoint stands."""
+        saved = load_progress(path, self.identity, self.optimiser.weights.numel())
+        for name, vector in saved.vectors.items():
+            getattr(self.optimiser, name).copy_(tensor(vector))
+        self.step, self.window = saved.step, saved.window
+        self.train_loss, self.held_out_loss = saved.train_loss, saved.held_out_loss
+
+
+def fit_act(data: PictureSource, config: TrainConfig, seed: int, *, resume_from: Path | None = None,
+            checkpoints: Path | None = None, progress: Callable[[int, int, float], None] | None = None,
+            threads: int = 1) -> FittedAct:
+    """Train lerobot's ACT by behaviour cloning.
+
+    Args:
+        data: what to learn from, weights by source inside; it has pictures of one camera.
+        config: steps, batch, learning rate; width and depth are the transformer's and its encoder's.
+        seed: decides weights and batches; nothing else does.
+        resume_from: a checkpoint of this same training, see pipeline.policies.resuming.newest.
+        checkpoints: folder for resumable checkpoints, every `config.checkpoint_every` steps.
+        progress: called as (steps done, steps in all, last training loss) every few steps.
+        threads: of PyTorch; another number may give other bits.
+
+    Raises:
+        ConfigError: the version has no camera, or several.
+        PolicyError: samples do not fit the robot, the checkpoint is of another training, or training diverges.
+    """
+    with deterministic(threads):
+        trainer = _Trainer(data, config, seed)
+        if resume_from is not None:
+            trainer.resume(resume_from)
+        while trainer.step < config.steps:
+            trainer.update()
+            if checkpoints is not None and trainer.step % config.checkpoint_every == 0:
+                save_progress(checkpoints, trainer.identity, trainer.progress())
+            if progress is not None and trainer.step % 10 == 0:
+                progress(trainer.step, config.steps, trainer.train_loss[-1][1] if trainer.train_loss else math.nan)
+        return FittedAct(trainer.shape, weights_of(trainer.policy), trainer.scales, tuple(trainer.train_loss),
+                         tuple(trainer.held_out_loss))
