@@ -55,6 +55,9 @@ def record(
     out: Annotated[Path, typer.Argument(metavar="OUT.mcap", help="The recording; OUT.mcap.part until it is whole.")],
     robot: Annotated[str, typer.Option(help="arm (simulated) or twin:SEED.")] = "arm",
     policy: Annotated[str, typer.Option(help="Who acts: expert, champion, or a policy's id.")] = "expert",
+    shadow: Annotated[
+        list[str] | None, typer.Option(help="Policy that watches and cannot act: its id; may be given again.")
+    ] = None,
     camera: Annotated[
         list[str] | None, typer.Option(help="Camera of the scene to record: front, top; may be given again.")
     ] = None,
@@ -72,8 +75,9 @@ def record(
     from flows.record import RecordOrder, run_record
     from pipeline.store import store_root
 
-    order = RecordOrder(path=out, robot=robot, policy=policy, cameras=tuple(camera or ()), size=picture_size(size),
-                        seconds=seconds, until_success=until_success, seed=seed)
+    order = RecordOrder(path=out, robot=robot, policy=policy, shadows=tuple(shadow or ()),
+                        cameras=tuple(camera or ()), size=picture_size(size), seconds=seconds,
+                        until_success=until_success, seed=seed)
     if run_record(order, store_root(), as_json=json):
         raise typer.Exit(INTERRUPTED)
 

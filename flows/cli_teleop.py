@@ -17,6 +17,9 @@ def teleop(
     policy: Annotated[
         str | None, typer.Option(help="Begin with a policy, to be taken over from: an id, champion, or expert.")
     ] = None,
+    shadow: Annotated[
+        list[str] | None, typer.Option(help="Policy that watches and cannot act: its id; may be given again.")
+    ] = None,
     operator: Annotated[str, typer.Option(help="Pseudonym of the person; never a name.")] = "anonymous",
     consent: Annotated[
         str | None, typer.Option(help="Id of the person's consent; without one nothing is learnt from it.")
@@ -57,9 +60,9 @@ def teleop(
 
     order = TeleopOrder(
         robot=robot, robot_keys=_pairs(robot_key, "--robot-key"), teleop=teleop,
-        teleop_keys=_pairs(teleop_key, "--teleop-key"), plugins=tuple(plugin or ()), policy=policy, task=task,
-        stratum=stratum, operator=operator, consent=consent, episodes=episodes, cameras=tuple(camera or ()),
-        size=picture_size(size), hz=hz, speed=speed, hand_speed=hand_speed, max_step=_steps(max_step), max_s=max_s,
+        teleop_keys=_pairs(teleop_key, "--teleop-key"), plugins=tuple(plugin or ()), policy=policy,
+        shadows=tuple(shadow or ()), task=task, stratum=stratum, operator=operator, consent=consent,
+        episodes=episodes, cameras=tuple(camera or ()), size=picture_size(size), hz=hz, speed=speed, hand_speed=hand_speed, max_step=_steps(max_step), max_s=max_s,
         by_key=by_key, stop_on_trigger=stop_on_trigger)
     if run_teleop(order, store_root(), as_json=json):
         raise typer.Exit(INTERRUPTED)

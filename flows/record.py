@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from flows import facts
+from flows.shadowing import print_states, shadowed
 from flows.teleop_devices import TeleopOrder, open_policy, open_robot
 from flows.teleoperation import Stop
 from pipeline.errors import ConfigError, SimulationError
@@ -19,6 +20,8 @@ from pipeline.protocols import Policy
 from pipeline.recording.filming import Filming
 from pipeline.recording.live import Closed, LiveRecorder
 from pipeline.recording.live_header import beginning
+from pipeline.shadow.live import LiveShadow
+from pipeline.shadow.riders import Riders
 from pipeline.store import Store
 from schemas.scene import SceneSpec
 from stages.record import record
@@ -36,6 +39,7 @@ class RecordOrder:
     path: Path
     robot: str = "arm"
     policy: str = "expert"
+    shadows: tuple[str, ...] = ()
     cameras: tuple[str, ...] = ()
     size: tuple[int, int] = (320, 240)
     seconds: float = 10.0
@@ -67,13 +71,15 @@ def run_record(order: RecordOrder, root: Path, *, as_json: bool = False) -> bool
         origin="scripted" if policy_id is None else "deployed", scene=scene, control_hz=robot.control_hz,
         generation=0, policy=policy_id)
     film = _Film(order, robot)
-    with LiveRecorder(order.path, episode, attachments=attachments, software=facts.software()) as recorder:
-        with stop.listening(), film.on(recorder):
-            robot.begin(scene)
-            outcome = record(robot, policy, recorder, seconds=order.seconds, until_success=order.until_success,
-                             show=film.show, stop=stop)
-        closed = recorder.close(outcome)
-    _print(closed, film.taken, robot.late, as_json=as_json)
+    with _riders(order, root) as riders:
+        with LiveRecorder(order.path, episode, attachments=attachments, software=facts.software()) as recorder:
+            with stop.listening(), film.on(recorder):
+                robot.begin(scene)
+                outcome = record(robot, policy, recorder, seconds=order.seconds, until_success=order.until_success,
+                                 show=film.show, stop=stop, shadow=LiveShadow(riders, robot) if riders else None)
+            closed = recorder.close(outcome)
+        states = riders.states() if riders else {}
+    _print(closed, film.taken, robot.late, states, as_json=as_json)
     return stop.asked
 
 
@@ -121,6 +127,17 @@ def _policy(name: str, root: Path) -> tuple[Policy, str, str | None]:
         return open_policy(name, store)
 
 
+@contextmanager
+def _riders(order: RecordOrder, root: Path) -> Iterator[Riders | None]:
+    with ExitStack() as stack:
+        if not order.shadows:
+            yield None
+            return
+        with Store.open(root) as store:
+            riders = stack.enter_context(shadowed(order.shadows, store, order.seconds))
+        yield riders
+
+
 def _robot(order: RecordOrder) -> tuple["SimulatedRobot", SceneSpec]:
     if order.robot.startswith("lerobot:"):
         raise ConfigError("a policy alone does not move a real robot", where=f"--robot {order.robot}",
@@ -137,12 +154,14 @@ def _config(order: RecordOrder) -> bytes:
     return json.dumps({**asdict(order), "path": order.path.name}, sort_keys=True).encode()
 
 
-def _print(closed: Closed, filmed: dict[str, int], late: int, *, as_json: bool) -> None:
+def _print(closed: Closed, filmed: dict[str, int], late: int, states: Mapping[str, str], *, as_json: bool) -> None:
     episode = closed.episode
     if as_json:
         print(json.dumps({"path": str(closed.path), "episode": episode.model_dump(mode="json"), "pictures": filmed,
-                          "dropped": dict(closed.dropped), "late_ticks": late}))
+                          "dropped": dict(closed.dropped), "late_ticks": late,
+                          **({"shadows": dict(states)} if states else {})}))
         return
+    print_states(states)
     said = f"{episode.duration_s:.1f} s, {episode.frames} ticks, outcome {episode.outcome.label}"
     pictures = "".join(f", {count} pictures of {name}" for name, count in filmed.items())
     lost = f"; dropped {dict(closed.dropped)}" if closed.dropped else ""

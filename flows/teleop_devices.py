@@ -35,6 +35,7 @@ class TeleopOrder:
     teleop_keys: Mapping[str, str] = field(default_factory=dict[str, str])
     plugins: Sequence[str] = ()
     policy: str | None = None
+    shadows: tuple[str, ...] = ()
     task: str = "pick-place"
     stratum: str | None = None
     operator: str = "anonymous"
@@ -226,24 +227,27 @@ def open_policy(name: str, store: Store) -> tuple[Policy, str, str | None]:
         from pipeline.simulation.expert import Expert
 
         return Expert(), "expert", None
-    id = _champion(store) if name == "champion" else _policy_id(name, store)
+    id = policy_id(name, store)
     from pipeline.policies.onnx_policy import OnnxPolicy
 
     return OnnxPolicy(store.path(store.policy(id).checkpoint) / "policy.onnx"), id, id
 
 
-def _policy_id(prefix: str, store: Store) -> str:
-    table, id = store.find(prefix)
+def policy_id(name: str, store: Store, option: str = "--policy") -> str:
+    """Id of a policy: 'champion' for that of the newest loop, or the beginning of an id; StoreError as above."""
+    if name == "champion":
+        return _champion(store, option)
+    table, id = store.find(name)
     if table != "policy":
-        raise StoreError(f"{prefix} is a {table}, not a policy", where="--policy",
-                         mend="name a policy's id, champion or expert")
+        raise StoreError(f"{name} is a {table}, not a policy", where=option,
+                         mend=f"name a policy's id{', champion or expert' if option == '--policy' else ' or champion'}")
     return id
 
 
-def _champion(store: Store) -> str:
+def _champion(store: Store, option: str) -> str:
     loops = {run for run, info in store.runs().items() if not info.control}
     for (run,) in store.query("SELECT run FROM invocation ORDER BY rowid DESC"):
         if run in loops and (champion := store.champion(str(run))) is not None:
             return champion.policy
-    raise StoreError("no loop of this store has released a policy", where="--policy champion",
-                     mend="turn one first: hardcase loop; or use --policy expert")
+    raise StoreError("no loop of this store has released a policy", where=f"{option} champion",
+                     mend="turn one first: hardcase loop" + ("; or use --policy expert" * (option == "--policy")))

@@ -9,8 +9,10 @@ from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from types import FrameType
+from typing import cast
 
 from flows import facts
+from flows.shadowing import print_states, shadowed
 from flows.teleop_devices import Driven, TeleopOrder, open_device, open_policy, open_robot
 from flows.teleop_display import StatusLine, print_attempts
 from flows.teleop_store import FOLDER, adopt, keep
@@ -26,6 +28,7 @@ from pipeline.robots.keyboard import HELP as KEYS
 from pipeline.robots.keyboard import Keyboard
 from pipeline.robots.session import Controls, Session
 from pipeline.robots.with_keys import WithKeys
+from pipeline.shadow.live import Arm, LiveShadow
 from pipeline.simulation.tasks import load_task
 from pipeline.store import Lease, RunInfo, Store
 from schemas.consent import NO_CONSENT, Consent
@@ -104,7 +107,6 @@ def _drive(order: TeleopOrder, store: Store, lease: Lease, number: int, consent:
     adopt(store, lease)
     line = StatusLine(driven.robot.signals, order.episodes, driven.robot.control_hz)
     alarm = Alarm(load_task(order.task)) if policy is not None else None
-    controls = Controls(device, driven.driver, driven.limits, policy, name, id, alarm, driven.film)
     said = record_strings(consent) if consent else {}
     session = Session(
         operator=order.operator, consent=order.consent or NO_CONSENT, folder=store.root / FOLDER,
@@ -113,6 +115,9 @@ def _drive(order: TeleopOrder, store: Store, lease: Lease, number: int, consent:
         stop_on_trigger=order.stop_on_trigger, ask=_can_say_next(device), show=line.show,
         stop=stop)
     with ExitStack() as stack:
+        riders = stack.enter_context(shadowed(order.shadows, store, order.episodes * order.max_s))
+        shadow = LiveShadow(riders, cast(Arm, driven.robot)) if riders else None  # _check_fit lets no other robot pass
+        controls = Controls(device, driven.driver, driven.limits, policy, name, id, alarm, driven.film, shadow)
         stack.callback(driven.robot.disconnect)
         driven.robot.connect()
         stack.callback(device.disconnect)
@@ -125,6 +130,7 @@ def _drive(order: TeleopOrder, store: Store, lease: Lease, number: int, consent:
                     attempts.append(closed)
         finally:
             line.end()
+            print_states(riders.states() if riders else {})
             if driven.robot.late:
                 print(f"{driven.robot.late} ticks came late: this machine is too slow or too busy", file=sys.stderr)
 
@@ -158,10 +164,13 @@ def _check_fit(order: TeleopOrder, driven: Driven, device: Teleoperator) -> None
 
     check_fit(device, driven.robot.signals, driven.robot.name)
     signals = driven.robot.signals
-    if order.policy and (signals.state, signals.environment) != (STATE, ENVIRONMENT):
+    if (signals.state, signals.environment) == (STATE, ENVIRONMENT):
+        return
+    wanted = [("--policy", order.policy)] if order.policy else []
+    for option, name in (*wanted, *(("--shadow", name) for name in order.shadows)):
         raise ConfigError(f"robot {driven.robot.name!r} does not perceive what a policy looks at",
-                          where=f"--policy {order.policy}",
-                          mend=f"leave --policy away, or give the robot {', '.join(ENVIRONMENT)} in its observation")
+                          where=f"{option} {name}",
+                          mend=f"leave {option} away, or give the robot {', '.join(ENVIRONMENT)} in its observation")
 
 
 def _with_keys(device: Teleoperator) -> Teleoperator:

@@ -9,6 +9,7 @@ import numpy as np
 from pipeline.protocols import Array, LiveRobot, Policy
 from pipeline.recording.live import LiveRecorder
 from pipeline.recording.live_rows import Row
+from pipeline.shadow.live import LiveShadow
 from schemas.episode import Outcome
 
 _ONE = np.arange(1)
@@ -16,7 +17,7 @@ _ONE = np.arange(1)
 
 def record(robot: LiveRobot, policy: Policy, recorder: LiveRecorder, *, seconds: float, until_success: bool = False,
            show: Callable[[int, int], None] = lambda tick, stamp_ns: None,
-           stop: Callable[[], bool] = lambda: False) -> Outcome:
+           stop: Callable[[], bool] = lambda: False, shadow: LiveShadow | None = None) -> Outcome:
     """Let a policy act until the time is over, and say how it ended; the caller closes the recording.
 
     Args:
@@ -27,8 +28,11 @@ def record(robot: LiveRobot, policy: Policy, recorder: LiveRecorder, *, seconds:
         until_success: end with the task, if that comes first.
         show: called with (tick, time [ns]) when the robot has perceived: cameras take their pictures.
         stop: whether somebody wants it to end now.
+        shadow: candidates that are shown the same, and are heard when the tick is over.
     """
     policy.reset(1)
+    if shadow is not None:
+        shadow.begin()
     reached, last = False, ""
     for tick in count():
         stamp_ns = recorder.now()
@@ -37,8 +41,14 @@ def record(robot: LiveRobot, policy: Policy, recorder: LiveRecorder, *, seconds:
         if (phase := robot.phase()) != last:
             recorder.phase(phase, tick=tick)
             last = phase
-        robot.act(policy.act(observation, _ONE), _ONE)
-        recorder.tick(tick, _with_memory(robot.row(), policy), stamp_ns=stamp_ns)
+        action = policy.act(observation, _ONE)
+        if shadow is not None:
+            shadow.offer(observation)
+        robot.act(action, _ONE)
+        row = _with_memory(robot.row(), policy)
+        if shadow is not None and isinstance(row, Row):
+            row = shadow.beside(row, recorder, tick)
+        recorder.tick(tick, row, stamp_ns=stamp_ns)
         reached = reached or robot.succeeded()
         if stop() or recorder.failed:  # what the disk refused, `close` says
             return Outcome(label="unknown", judged_by=robot.judge, reason="cut off: interrupted")

@@ -78,6 +78,8 @@ class _Attempt:
         self._who: Who = "operator" if controls.policy is None else "policy"
         self._phase, self._switch = "", False
         self.last = False
+        if controls.shadow is not None:
+            controls.shadow.begin()
         kind, actor = self._party()
         robot.begin(scene)
         self._recorder = LiveRecorder(
@@ -134,13 +136,15 @@ class _Attempt:
             recorder.phase(phase, tick=tick)
             self._phase = phase
         noted = self._hand.note
+        if self._controls.shadow is not None:
+            self._controls.shadow.offer(observation)
         self._hand.act(action, observation)
         if self._hand.note and self._hand.note != noted:
             recorder.event("limit", self._hand.note, level=30, tick=tick)
         if self._hand.note and (names := robot.signals.action) != ACTION:  # a robot that is commanded by its joints
             asked = joint_targets(names, action.astype(np.float64), stamp_ns)
             recorder.write("/joint_commands/asked", asked, tick=tick, stamp_ns=stamp_ns)
-        recorder.tick(tick, self._row(), stamp_ns=stamp_ns)
+        recorder.tick(tick, self._row(tick), stamp_ns=stamp_ns)
         self._session.show(Status(self._number, (tick + 1) / robot.control_hz, self._who, observation, self._note()))
         return self._ended(command, tick)
 
@@ -184,9 +188,11 @@ class _Attempt:
             return self._controls.policy.act(observation, _ONE)[0]
         return self._controls.driver.action(command, observation)
 
-    def _row(self) -> Row | Array:
+    def _row(self, tick: int) -> Row | Array:
         """The robot's row; what the policy remembers is part of what a restore needs."""
-        row, policy = self._robot.row(), self._controls.policy
+        row, policy, shadow = self._robot.row(), self._controls.policy, self._controls.shadow
+        if shadow is not None and isinstance(row, Row):
+            row = shadow.beside(row, self._recorder, tick)
         if policy is None or not isinstance(row, Row) or not len(row.sim_state):
             return row
         return replace(row, controller=np.concatenate([row.controller, policy.memory(_ONE)[0]]))

@@ -57,6 +57,7 @@ class ArmRobot:
         self._kinematics = Kinematics(self._setup, 1, 1)
         self._judge, self._pace = Judge(task), Pace(hz)
         self._pose, self._opening, self._joints = np.zeros(4), OPEN_M, np.zeros(6)
+        self._before = self._pose, self._joints
         self._begun = False
         self._state, self._seen, self._action = np.zeros(16), np.zeros(len(self.signals.environment)), np.zeros(5)
 
@@ -91,13 +92,22 @@ class ArmRobot:
 
     def act(self, action: Array, ids: Ids) -> None:
         """Move the commanded pose, send the joints that reach it, and let one control period pass."""
-        self._action = action[0].copy()
-        pose = np.clip(self._pose + np.clip(action[0, :4], -LIMITS, LIMITS), REACH[:, 0], REACH[:, 1])
-        wanted = self._kinematics.towards(self._joints[None], pose[None])[0]
-        self._joints = np.clip(wanted, self._joints - JOINT_STEP_RAD, self._joints + JOINT_STEP_RAD)
-        self._pose, self._opening = pose, float(np.clip(action[0, 4], 0.0, OPEN_M))
+        self._action, self._before = action[0].copy(), (self._pose, self._joints)
+        self._pose, self._opening, self._joints = self._solved(action[0], self._pose, self._joints)
         self._link.send(dict(zip(NAMES, map(float, [*self._joints, self._opening]), strict=True)))
         self._pace.wait()
+
+    def _solved(self, action: Array, pose: Array, joints: Array) -> tuple[Array, float, Array]:
+        """Pose, opening and joints that an action asks for, from those commanded before."""
+        pose = np.clip(pose + np.clip(action[:4], -LIMITS, LIMITS), REACH[:, 0], REACH[:, 1])
+        wanted = self._kinematics.towards(joints[None], pose[None])[0]
+        return pose, float(np.clip(action[4], 0.0, OPEN_M)), np.clip(wanted, joints - JOINT_STEP_RAD,
+                                                                     joints + JOINT_STEP_RAD)
+
+    def would_have_sent(self, action: Array) -> Array:
+        """Joint targets [rad] and opening [m] of actions (1, 5) in place of the last one, shape (1, 7)."""
+        _, opening, joints = self._solved(action[0], *self._before)
+        return np.array([[*joints, opening]])
 
     def succeeded(self) -> bool:
         """By what the robot perceives; never where it perceives nothing."""

@@ -11,6 +11,7 @@ from pipeline.recording.live import LiveRecorder
 from pipeline.robots.judging import Alarm
 from pipeline.robots.limits import Limits
 from pipeline.robots.mapping import Driver
+from pipeline.shadow.live import LiveShadow
 from schemas.scene import SceneSpec
 
 type SceneOf = Callable[[int, Observation], SceneSpec]
@@ -89,3 +90,5 @@ class Controls:
     """Watches the policy; None where the robot does not perceive what it works on."""
     film: Film = no_film
     """Films an attempt with cameras that are no part of the robot."""
+    shadow: LiveShadow | None = None
+    """Candidates that are shown what the robot perceives, whoever commands, and cannot act."""

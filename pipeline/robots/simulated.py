@@ -48,7 +48,7 @@ class SimulatedRobot:
         self.world, self.name, self.control_hz = world, name, world.control_hz
         self.judge: Literal["simulator", "sensors"] = "simulator" if judged else "sensors"
         self._judge, self._pace, self._tracer = Judge(world.task), Pace(world.control_hz, speed=speed), Tracer(world)
-        self._seen = world.observe(_ONE)
+        self._seen, self._before = world.observe(_ONE), world.commanded(_ONE)
 
     def connect(self) -> None:
         """Nothing to connect."""
@@ -74,9 +74,14 @@ class SimulatedRobot:
     def act(self, action: Array, ids: Ids) -> None:
         """Send the action that follows what was observed last, and let one control period pass."""
         self._tracer.before(ids, self._seen, action, _NoMemory())
+        self._before = self.world.commanded(ids)
         self.world.act(action, ids)
         self._tracer.after(ids)
         self._pace.wait()
+
+    def would_have_sent(self, action: Array) -> Array:
+        """Joint targets [rad] and opening [m] of actions (1, 5) in place of the last one, shape (1, 7)."""
+        return self.world.would_send(action, _ONE, self._before)
 
     def succeeded(self) -> bool:
         """By the simulator's truth, or by what the robot perceives."""

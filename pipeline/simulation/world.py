@@ -177,15 +177,25 @@ class World:
         c.ticks[ids] += 1
         self._judge(ids)
 
-    def _solved(self, action: Array, ids: Ids) -> tuple[Array, Array, Array]:
+    def _solved(self, action: Array, ids: Ids, since: tuple[Array, Array] | None = None) -> tuple[Array, Array, Array]:
         """Commanded pose, opening and joints that an action asks for."""
-        c = self.command
-        pose = np.clip(c.pose[ids] + np.clip(action[:, :4], -LIMITS, LIMITS), REACH[:, 0], REACH[:, 1])
-        return pose, np.clip(action[:, 4], 0.0, OPEN_M), self.kinematics.towards(c.joints[ids], pose)
+        pose, joints = since or self.commanded(ids)
+        pose = np.clip(pose + np.clip(action[:, :4], -LIMITS, LIMITS), REACH[:, 0], REACH[:, 1])
+        return pose, np.clip(action[:, 4], 0.0, OPEN_M), self.kinematics.towards(joints, pose)
 
-    def would_send(self, action: Array, ids: Ids) -> Array:
-        """Joint targets [rad] and opening [m] that an action would send now; nothing moves, shape (len(ids), 7)."""
-        _, opening, joints = self._solved(action, ids)
+    def commanded(self, ids: Ids) -> tuple[Array, Array]:
+        """Pose (len(ids), 4) and joints (len(ids), 6) commanded last, copied."""
+        return self.command.pose[ids], self.command.joints[ids]
+
+    def would_send(self, action: Array, ids: Ids, since: tuple[Array, Array] | None = None) -> Array:
+        """Joint targets [rad] and opening [m] that an action would send; nothing moves, shape (len(ids), 7).
+
+        Args:
+            action: shape (len(ids), 5).
+            ids: its attempts.
+            since: what `commanded` gave at the moment in question; now where None.
+        """
+        _, opening, joints = self._solved(action, ids, since)
         return np.column_stack([joints, opening])
 
     def sent(self, ids: Ids) -> Array:
