@@ -63,6 +63,8 @@ class Trace:
     """The rest of what a restore needs (command, delay line, backlash, hold counter, policy memory), shape (m, k)."""
     shadows: Mapping[str, Shadow] = field(default_factory=dict[str, Shadow])
     events: tuple[Event, ...] = ()
+    signals: Mapping[str, Rows] = field(default_factory=dict[str, Rows])
+    """What was computed of the attempt's risk, see pipeline.signals -> value at each tick, NaN where unknown, (m,)."""
 
     def __len__(self) -> int:
         return len(self.state)

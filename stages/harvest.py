@@ -59,7 +59,7 @@ def choose(cases: Sequence[HardCase], count: int) -> list[HardCase]:
 
 def harvest(attempts: Sequence[Attempt], recipe: Recipe, *, twin: int, generation: int, folder: Path,
             software: Mapping[str, str], arm: str = "", record_corrections: bool = True,
-            progress: Callable[[int, int], None] | None = None) -> Harvested:
+            judged: Sequence[HardCase] | None = None, progress: Callable[[int, int], None] | None = None) -> Harvested:
     """Correct hard cases on the robot as it stands; attempt and correction form one episode.
 
     Args:
@@ -71,14 +71,16 @@ def harvest(attempts: Sequence[Attempt], recipe: Recipe, *, twin: int, generatio
         software: strings for each file's metadata record.
         arm: name of the arm of a study; its hard cases are its own.
         record_corrections: False only chooses the cases.
+        judged: moments at which a policy was judged wrong, in the order in which they are corrected; they take the
+            place of the attempts that a trigger stopped.
         progress: called as (corrections done, corrections in all).
     """
-    cases, config = hard_cases(attempts, generation, arm), recipe.harvest
+    cases, config = hard_cases(attempts, generation, arm) if judged is None else list(judged), recipe.harvest
     chosen = choose(cases, config.corrections)
     if not chosen or not record_corrections:
         return Harvested(tuple(cases), tuple(chosen), (), 0.0)
     by_id = {e.id: (e, t) for e, t in attempts}
-    taken = [_taken(*by_id[c.episode], config) for c in chosen]
+    taken = [_taken(*by_id[c.episode], c, config) for c in chosen]
     world = _restored(taken, recipe, twin)
     operator = Operator(world, config, [e.scene.seed for e, _ in taken], perfect=config.oracle)
     operator.reset(world.n)
@@ -117,16 +119,21 @@ def demonstrate(scenes: Sequence[SceneSpec], recipe: Recipe, *, twin: int, gener
     return record(folder, world.setup, episodes, traces, config=config.model_dump(), software=software)
 
 
-def _taken(episode: Episode, trace: Trace, config: HarvestConfig) -> Attempt:
-    """The attempt as it is when somebody takes over: to its end, or rewound where the oracle corrects."""
-    stop = max(1, len(trace) - config.rewind_ticks) if config.oracle else len(trace)
+def _taken(episode: Episode, trace: Trace, case: HardCase, config: HarvestConfig) -> Attempt:
+    """The attempt as it is when somebody takes over: to its end, or rewound where the oracle corrects.
+
+    A judged case is taken over where both policies still stood alike: on a robot somebody sets the start up again
+    and has the recorded commands played to that moment, which on the twin gives the recorded state itself.
+    """
+    stop = len(trace) - config.rewind_ticks if config.oracle else len(trace)
+    stop = max(1, stop if case.judgement is None else case.tick)
     return episode, trace_slice(trace, stop)
 
 
 def trace_slice(trace: Trace, stop: int) -> Trace:
-    """The first `stop` ticks of a trace, shadows left behind."""
+    """The first `stop` ticks of a trace, shadows and signals left behind."""
     arrays = {n: getattr(trace, n)[:stop] for n in _ARRAYS}
-    return replace(trace, **arrays, phase=trace.phase[:stop], shadows={},
+    return replace(trace, **arrays, phase=trace.phase[:stop], shadows={}, signals={},
                    reward={k: v[:stop] for k, v in trace.reward.items()},
                    events=tuple(e for e in trace.events if e.tick < stop))
 

@@ -53,6 +53,8 @@ def columns(trace: Trace) -> Iterator[Column]:
     for policy, shadow in trace.shadows.items():
         yield Column(f"/policy/{policy}/joint_commands", targets, (shadow.joint_commands,))
         yield Column(f"/policy/{policy}/disagreement", cdr.float64(), (shadow.disagreement[:, None],))
+    for name, values in trace.signals.items():
+        yield Column(f"/signal/{name}", cdr.float64(), (values[:, None],))
     yield _array("/sim/state", "mjSTATE_INTEGRATION", trace.sim_state)
     yield _array("/sim/controller", "controller", trace.controller)
 
@@ -86,6 +88,8 @@ def check_trace(trace: Trace, where: object) -> None:
             shadow.joint_commands.shape, (m, 7))
         found[f"shadows[{policy}].disagreement"], expected[f"shadows[{policy}].disagreement"] = (
             shadow.disagreement.shape, (m,))
+    for name, values in trace.signals.items():
+        found[f"signals[{name}]"], expected[f"signals[{name}]"] = values.shape, (m,)
     for name, shape in expected.items():
         if found[name] != shape:
             raise RecordingError(f"trace.{name} has shape {found[name]}, a trace of {m} ticks needs {shape}",

@@ -59,7 +59,8 @@ class Decoder:
             self._episode.control_hz, found["state"], found["environment"], found["action"], found["joint_action"],
             found["velocity"], found["effort"], links, poses, self._phases(),
             {term: self._scalars(f"/reward/{term}") for term in terms},
-            self._restorable("/sim/state"), self._restorable("/sim/controller"), self._shadows(), self.events())
+            self._restorable("/sim/state"), self._restorable("/sim/controller"), self._shadows(), self.events(),
+            self._signals())
 
     def _series(self, topic: str) -> Series:
         series = self._topics.get(topic)
@@ -161,6 +162,10 @@ class Decoder:
         ids = [t.split("/")[2] for t in self._topics if t.startswith("/policy/") and t.endswith("/joint_commands")]
         return {i: Shadow(self._joints(f"/policy/{i}/joint_commands", velocity=False, effort=False)[0],
                           self._scalars(f"/policy/{i}/disagreement")) for i in ids}
+
+    def _signals(self) -> dict[str, Rows]:
+        return {topic.removeprefix("/signal/"): self._scalars(topic)
+                for topic in self._topics if topic.startswith("/signal/")}
 
     def _check_width(self, topic: str, found: int, expected: int) -> None:
         if found != expected:

@@ -52,6 +52,7 @@ TOPICS: MappingProxyType[str, Topic] = MappingProxyType({
     "/reward/<term>": Topic(_FLOAT, "one topic a term"),
     "/policy/<id>/joint_commands": Topic(_JOINTS, "what a shadow policy would have sent"),
     "/policy/<id>/disagreement": Topic(_FLOAT, "distance of the shadow's action to the champion's"),
+    "/signal/<name>": Topic(_FLOAT, "a sign of risk: distance, revision, apart, spread, flips, warning"),
     "/events": Topic("rcl_interfaces/msg/Log", "triggers, interventions, limits hit"),
 })
 """Every topic of the dialect, from the design's table; a body without the sensor leaves its topic out."""
@@ -66,7 +67,7 @@ RESTORE_TOPICS = ("/sim/state", "/sim/controller")
 
 def every_tick(topic: str) -> bool:
     """Whether a trace is rebuilt from this topic, one message a tick."""
-    return topic in _EVERY_TICK or topic.startswith(("/reward/", "/policy/"))
+    return topic in _EVERY_TICK or topic.startswith(("/reward/", "/policy/", "/signal/"))
 
 
 _EVERY_TICK = frozenset({*FRAME_TOPICS, *RESTORE_TOPICS, "/tf"})

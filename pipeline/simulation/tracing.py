@@ -73,6 +73,7 @@ class Tracer:
 
     def _trace(self, attempt: int, table: dict[str, Array]) -> Trace:
         rewards = {n.removeprefix("reward/"): table.pop(n) for n in list(table) if n.startswith("reward/")}
+        signals = {n.removeprefix("signal/"): table.pop(n) for n in list(table) if n.startswith("signal/")}
         shadows = {n.split("/")[1]: Shadow(table[n], table.pop(n.replace("/joint", "/disagreement")))
                    for n in list(table) if n.startswith("shadow/") and n.endswith("/joint")}
         for name in shadows:
@@ -82,4 +83,4 @@ class Tracer:
             phase = self.phases[attempt].get(tick, phase)
             named.append(phase)
         return Trace(hz=self._world.control_hz, links=self.links, phase=tuple(named), reward=rewards,
-                     shadows=shadows, events=tuple(self.events[attempt]), **table)
+                     shadows=shadows, events=tuple(self.events[attempt]), signals=signals, **table)
