@@ -5,16 +5,27 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from schemas.base import Frozen, Name
+from schemas.counterfactual import JudgeConfig
 
 
-def _none_given(cameras: object) -> bool:
-    """No camera is the same as no word about cameras: the ids of recipes without any stay as they were."""
-    return not cameras
+def _none_given(value: object) -> bool:
+    """Nothing is the same as no word about it: the ids of recipes that do not speak of it stay as they were."""
+    return not value
 
 
 def _one_alone(riders: object) -> bool:
     """One rider is what there was before recipes could ask for more: their ids stay as they were."""
     return riders == 1
+
+
+def _off(flag: object) -> bool:
+    """A switch that is off says nothing, for the same reason."""
+    return not flag
+
+
+def _a_quarter(shrink: object) -> bool:
+    """The default of a number that only one kind of policy reads says nothing, either."""
+    return shrink == 4
 
 
 class CollectConfig(Frozen):
@@ -33,6 +44,8 @@ class AugmentConfig(Frozen):
         default=30, ge=0, description="variants near the start of every new episode that succeeded, in later laps")
     widen: float = Field(default=1.0, gt=0, le=5, description="factor on every range; above 1 the filter has work")
     keep_rejected: bool = Field(default=False, description="control arm: failed variants are left in")
+    appearance: bool = Field(default=False, exclude_if=_off, description="cameras see each variant in light, on a table "
+                                                                         "and from a place of its own")
 
 
 class CameraConfig(Frozen):
@@ -45,6 +58,8 @@ class CameraConfig(Frozen):
         default=None, description="left, top, width, height of what is kept of each picture, before it is scaled [px]")
     max_skew_s: float = Field(
         default=0.5, gt=0, description="how old a picture of a recording may be when a frame shows it [s]")
+    rendered: bool = Field(default=False, exclude_if=_off, description="what was simulated without this camera is "
+                                                                       "rendered from its replayed states")
 
     @model_validator(mode="after")
     def both_sizes_or_none(self) -> Self:
@@ -53,6 +68,13 @@ class CameraConfig(Frozen):
             raise ValueError(f"width {self.width} and height {self.height}: give both or none")
         if self.crop is not None and (min(self.crop[:2]) < 0 or min(self.crop[2:]) < 1):
             raise ValueError(f"crop {self.crop}: left and top are 0 or more, width and height 1 or more")
+        return self
+
+    @model_validator(mode="after")
+    def rendered_as_it_is_kept(self) -> Self:
+        """What is rendered has a size, and nothing is cut off it."""
+        if self.rendered and (self.width is None or self.crop is not None):
+            raise ValueError(f"rendered with width {self.width} and crop {self.crop}: give a size, and no crop")
         return self
 
 
@@ -84,10 +106,35 @@ class TrainConfig(Frozen):
     chunk: int = Field(default=8, ge=1, description="actions predicted at once")
     width: int = Field(default=256, ge=8)
     depth: int = Field(default=2, ge=1)
+    shrink: Literal[1, 2, 4, 8] = Field(default=4, exclude_if=_a_quarter,
+                                        description="act: how many times fewer channels than ResNet18 sees with")
     steps: int = Field(default=1500, ge=1)
     batch: int = Field(default=256, ge=1)
     learning_rate: float = Field(default=1e-3, gt=0)
     checkpoint_every: int = Field(default=500, ge=1, description="steps between resumable checkpoints")
+
+
+class NightlyConfig(Frozen):
+    """A gate that may be asked every night: an error budget for a year, and scenes until the answer is sure."""
+
+    false_promotions: float = Field(default=0.1, gt=0, lt=1, description="expected number a year, at most")
+    nights: int = Field(default=365, ge=1, description="length of a budget year [d]")
+    most_stake: float = Field(default=4.0, ge=1, description="largest stake of a night, in even parts of the budget")
+    batch: int = Field(default=50, ge=1, description="scenes between two decisions")
+    most_scenes: int = Field(default=3000, ge=1, description="scenes of a night at most")
+    anchor_every: int = Field(default=10, ge=1, description="promotions until the champion meets the anchor again")
+    anchor_share: float = Field(default=0.1, gt=0, lt=1, description="part of the budget for tests against the anchor")
+    regression_seeds: int = Field(default=8, ge=1, description="times that each regression scene is played")
+    regression_lost: int = Field(
+        default=2, ge=0, description="a scene that the champion always solves is lost at so many successes or fewer")
+
+    @model_validator(mode="after")
+    def batches_fill_the_night(self) -> Self:
+        """The night is a whole number of batches, and a lost regression scene is one that is mostly failed."""
+        if self.most_scenes % self.batch or self.regression_lost >= self.regression_seeds:
+            raise ValueError(f"most_scenes {self.most_scenes} must be a multiple of batch {self.batch}, and "
+                             f"regression_lost {self.regression_lost} below regression_seeds {self.regression_seeds}")
+        return self
 
 
 class GateConfig(Frozen):
@@ -98,6 +145,11 @@ class GateConfig(Frozen):
     margin: float = Field(default=0.05, gt=0, lt=1, description="largest loss that a stratum may hide")
     bootstrap_success: float = Field(default=0.5, ge=0, le=1, description="lower Wilson bound generation 0 must reach")
     rare_share: float = Field(default=0.5, gt=0, lt=1, description="share of gate scenes from harvested strata")
+    seeds: int = Field(default=1, ge=1, exclude_if=_one_alone, description="trainings a candidate; one is chosen")
+    selection: int | None = Field(default=None, ge=1, exclude_if=_none_given,
+                                  description="scenes of their own that choose among them; 200 where not given")
+    nightly: NightlyConfig | None = Field(default=None, exclude_if=_none_given,
+                                          description="the gate for every night, in place of the looks")
 
     @model_validator(mode="after")
     def looks_rise(self) -> Self:
@@ -132,6 +184,9 @@ class HarvestConfig(Frozen):
         default=False, description="rewind and correct from true state: a labelled arm, never the default"
     )
     rewind_ticks: int = Field(default=10, ge=0, description="oracle arm only")
+    judge: JudgeConfig | None = Field(
+        default=None, exclude_if=_none_given, description="correct where the policy in the champion's shadow or the "
+        "champion was judged wrong, and nowhere else; where a trigger fired if not given")
 
 
 class ExamConfig(Frozen):

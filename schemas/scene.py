@@ -6,7 +6,8 @@ from pydantic import Field, model_validator
 
 from schemas.base import Frozen, Name
 
-type SceneFamily = Literal["demo", "augment", "gate", "deploy", "exam", "study", "teleop", "foreign"]
+type SceneFamily = Literal["demo", "augment", "gate", "deploy", "exam", "study", "teleop", "foreign", "selection",
+                           "regression"]
 
 
 class Draw(Frozen):

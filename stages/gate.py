@@ -1,22 +1,15 @@
 """The gate: candidate against champion on the same simulated scenes, look by look, until a decision stands."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.errors import GateError
-from pipeline.files import short_id
 from pipeline.statistics import spend, wilson
 from pipeline.statistics.promotion import Ruling, compare_strata, further_scenes, out_of_reach, rule
+from pipeline.trial import Evaluate, Progress, Scenes, Trial
 from schemas.recipe import GateConfig
-from schemas.scene import SceneSpec
 from schemas.verdict import Look, StratumResult, Verdict
-
-type Outcomes = NDArray[np.bool_]
-type Scenes = Callable[[int, int], Sequence[SceneSpec]]
-type Evaluate = Callable[[str, Sequence[SceneSpec]], Outcomes]
-type Progress = Callable[[int, int], None]
 
 
 def gate(candidate: str, champion: str | None, *, generation: int, scenes: Scenes, evaluate: Evaluate,
@@ -43,7 +36,7 @@ def gate(candidate: str, champion: str | None, *, generation: int, scenes: Scene
 
     Source: docs/decisions/006-gate.md.
     """
-    trial = _Trial(candidate, champion, scenes, evaluate)
+    trial = Trial(candidate, champion, scenes, evaluate)
     budget = config.looks[-1] if champion is not None else config.looks[0]
     alphas = spend(config.looks, config.alpha)
     looks: list[Look] = []
@@ -62,48 +55,7 @@ def gate(candidate: str, champion: str | None, *, generation: int, scenes: Scene
     raise GateError("no look is planned", where="gate.looks", mend="give gate.looks at least one scene count")
 
 
-class _Trial:
-    """The scenes played so far and what each policy did with them."""
-
-    def __init__(self, candidate: str, champion: str | None, scenes: Scenes, evaluate: Evaluate) -> None:
-        self.candidate, self.champion = candidate, champion
-        self.labels: list[str] = []
-        """Stratum of each scene played."""
-        self.written: list[str] = []
-        """The scenes played, as JSON: causes of the verdict."""
-        self.solved: dict[str, Outcomes] = {p: np.zeros(0, np.bool_) for p in (candidate, champion) if p is not None}
-        self._scenes, self._evaluate = scenes, evaluate
-
-    def play(self, stop: int) -> None:
-        """Let every policy play the scenes up to `stop`."""
-        start = len(self.labels)
-        fresh = self._scenes(start, stop)
-        where = f"gate scenes {start}..{stop}"
-        if len(fresh) != stop - start:
-            raise GateError(f"{len(fresh)} scenes instead of {stop - start}", where=where,
-                            mend="the scene source must give scenes start..stop of one endless sequence")
-        if strange := [s for s in fresh if s.family != "gate" or s.twin is not None]:
-            raise GateError(f"a {strange[0].family} scene with twin {strange[0].twin} among the gate's", where=where,
-                            mend="draw gate scenes from the family 'gate', in simulation, never from a twin")
-        written = [scene.model_dump_json() for scene in fresh]
-        if len({*self.written, *written}) != stop:
-            raise GateError("a scene is played twice", where=where, mend="give each gate scene a seed of its own")
-        for policy in self.solved:
-            solved = np.asarray(self._evaluate(policy, fresh))
-            if solved.shape != (len(fresh),) or solved.dtype != np.bool_:
-                raise GateError(f"outcomes {solved.dtype}{list(solved.shape)} for {len(fresh)} scenes",
-                                where=f"{where}, policy {policy}", mend="return one boolean a scene, in their order")
-            self.solved[policy] = np.concatenate([self.solved[policy], solved])
-        self.labels += [scene.stratum for scene in fresh]
-        self.written += written
-
-    def verdict_id(self, generation: int, config: GateConfig) -> str:
-        """Identity by causes: who, on which scenes, by which thresholds."""
-        return short_id("verdict", self.candidate, self.champion, generation, config.model_dump_json(),
-                        *self.written)
-
-
-def _bootstrap(trial: _Trial, generation: int, config: GateConfig) -> Verdict:
+def _bootstrap(trial: Trial, generation: int, config: GateConfig) -> Verdict:
     """Judge a candidate that has no champion to be compared with."""
     labels, solved = np.asarray(trial.labels), trial.solved[trial.candidate]
     groups = {"all": np.ones(labels.size, np.bool_)} | {s: labels == s for s in sorted(set(trial.labels))}
@@ -114,12 +66,12 @@ def _bootstrap(trial: _Trial, generation: int, config: GateConfig) -> Verdict:
     good = asked.candidate.low >= config.bootstrap_success
     reason = (f"no champion yet; {asked.stratum}: {asked.candidate.successes} of {asked.candidate.n} solved, lower "
               f"bound {asked.candidate.low:.1%} {'reaches' if good else 'is below'} {config.bootstrap_success:.1%}")
-    return Verdict(id=trial.verdict_id(generation, config), candidate=trial.candidate, champion=None,
+    return Verdict(id=trial.verdict_id(generation, config.model_dump_json()), candidate=trial.candidate, champion=None,
                    generation=generation, decision="BOOTSTRAP" if good else "FAIL", reason=reason, strata=strata,
                    p=None, scenes=len(trial.labels), margin=config.margin, more_scenes=None)
 
 
-def _verdict(trial: _Trial, generation: int, config: GateConfig, strata: tuple[StratumResult, ...],
+def _verdict(trial: Trial, generation: int, config: GateConfig, strata: tuple[StratumResult, ...],
              looks: tuple[Look, ...], ruling: Ruling) -> Verdict:
     """Write down the last look."""
     by_name = {s.stratum: s for s in strata}
@@ -133,8 +85,8 @@ def _verdict(trial: _Trial, generation: int, config: GateConfig, strata: tuple[S
     else:
         decision, more = "INCONCLUSIVE", further_scenes(strata, config, len(looks) - 1)
         reason = _doubt(by_name, ruling, config, len(looks) - 1, more)
-    return Verdict(id=trial.verdict_id(generation, config), candidate=trial.candidate, champion=trial.champion,
-                   generation=generation, decision=decision, reason=reason, strata=strata, looks=looks,
+    return Verdict(id=trial.verdict_id(generation, config.model_dump_json()), candidate=trial.candidate,
+                   champion=trial.champion, generation=generation, decision=decision, reason=reason, strata=strata, looks=looks,
                    p=ruling.p_gain, scenes=len(trial.labels), margin=config.margin, more_scenes=more)
 
 
