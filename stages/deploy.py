@@ -1,6 +1,7 @@
 """Deploy: the released policy drives the twin, and every attempt is recorded."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +12,8 @@ from pipeline.disagreement import disagreement
 from pipeline.protocols import Array, Ids, Observation, Policy
 from pipeline.shadow.riders import Riders
 from pipeline.shadow.targets import joint_targets
+from pipeline.signals.neighbours import Neighbours
+from pipeline.signals.tick import Signals
 from pipeline.simulation.recordings import Recorded, episode_id, record
 from pipeline.simulation.rollout import rollout
 from pipeline.simulation.tasks import mixed_strata, sample_scene, scene_seed
@@ -22,6 +25,9 @@ from pipeline.twin.twin import draw_twin, twin_world
 from schemas.episode import Episode, Outcome, Segment
 from schemas.recipe import HarvestConfig, Recipe
 from schemas.scene import SceneSpec
+
+type Sight = Callable[[Policy, World], AbstractContextManager[Policy]]
+"""Hands the pictures of this robot's cameras to a driver, see pipeline.simulation.eyes.with_eyes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +46,9 @@ class Deployed:
 
 
 def deploy(policy: Policy, policy_id: str, recipe: Recipe, *, seed: int, twin: int, generation: int, folder: Path,
-           software: Mapping[str, str], riders: Riders | None = None) -> Deployed:
+           software: Mapping[str, str], riders: Riders | None = None,
+           neighbours: Neighbours | None = None,
+           sight: Sight | None = None) -> Deployed:
     """Let the policy work on the twin; an attempt ends when the robot believes in success or a trigger fires.
 
     Args:
@@ -53,15 +61,18 @@ def deploy(policy: Policy, policy_id: str, recipe: Recipe, *, seed: int, twin: i
         folder: where the MCAP files are written.
         software: strings for each file's metadata record.
         riders: candidates to ride along; the caller ends them.
+        neighbours: what the champion learnt from; with these or with candidates, signals of risk are recorded.
+        sight: for a policy that sees; None for one that does not.
     """
     scenes = deploy_scenes(recipe, seed=seed, twin=twin, generation=generation)
     world = twin_world(draw_twin(twin), scenes, threads=recipe.threads)
     watch = _Watch(world, recipe.harvest)
-    driver = policy if riders is None else _Ridden(policy, riders, world, watch.tracer)
+    driver = policy if riders is None else _Ridden(policy, riders, world, watch.tracer, neighbours)
     if riders is not None:
         riders.ready()
     driver.reset(world.n)
-    result = rollout(world, driver, watch=watch.tick, tracer=watch.tracer, until_success=False)
+    with sight(driver, world) if sight else nullcontext(driver) as seeing:
+        result = rollout(world, seeing, watch=watch.tick, tracer=watch.tracer, until_success=False)
     traces = watch.tracer.traces()
     episodes = [_episode(scene, trace, watch, i, policy_id, generation)
                 for i, (scene, trace) in enumerate(zip(scenes, traces, strict=True))]
@@ -89,23 +100,30 @@ def _mean_apart(trace: Trace) -> float:
 class _Ridden:
     """The champion with riders in its shadow: same observations, and the riders' answers go to the record alone."""
 
-    def __init__(self, champion: Policy, riders: Riders, world: World, tracer: Tracer) -> None:
+    def __init__(self, champion: Policy, riders: Riders, world: World, tracer: Tracer,
+                 neighbours: Neighbours | None) -> None:
         self._champion, self._riders, self._world, self._tracer = champion, riders, world, tracer
-        self._tick = 0
+        self._tick, self._neighbours, self._watched = 0, neighbours, bool(neighbours or riders.ids)
+        self._signals = Signals(world.n, neighbours)
 
     def reset(self, n: int) -> None:
         """Prepare all for n attempts."""
         self._champion.reset(n)
         self._riders.reset(n)
-        self._tick = 0
+        self._tick, self._signals = 0, Signals(n, self._neighbours)
 
     def act(self, observation: Observation, ids: Ids) -> Array:
         """The champion's actions, untouched."""
+        memory = self._champion.memory(ids)
         action = self._champion.act(observation, ids)
         self._riders.offer(observation, ids)
-        for id, other in self._riders.answers().items():
+        answers = self._riders.answers()
+        for id, other in answers.items():
             self._tracer.pend(f"shadow/{id}/joint", joint_targets(self._world.would_send, other, ids))
             self._tracer.pend(f"shadow/{id}/disagreement", disagreement(other, action))
+        if self._watched:
+            for name, values in self._signals.tick(observation, action, answers, ids, memory).items():
+                self._tracer.pend(f"signal/{name}", values)
         for id, state in self._riders.news():
             for attempt in ids:
                 self._tracer.events[int(attempt)].append(Event(self._tick, 30, "shadow", f"{id} {state}"))

@@ -1,7 +1,7 @@
 """Distance to the training data: how far a robot is from everything that its policy has been shown.
 
 The space is that of the policy's own features (pipeline.policies.features), each over its standard deviation in the
-training data. Distances come from one product of matrices in blocks: in 28 dimensions a tree has nothing to leave out.
+training data. Distances come from one product of matrices in blocks: in 32 dimensions a tree has nothing to leave out.
 """
 
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ _DRAW = 0x51D
 
 
 def in_feature_space(state: NDArray[np.floating], environment: NDArray[np.floating]) -> F32:
-    """What a policy's network is told of observations, shape (n, 28), not yet normalised.
+    """What a policy's network is told of observations, shape (n, 32), not yet normalised.
 
     Args:
         state: see pipeline.frames.STATE, shape (n, 16).
@@ -42,7 +42,7 @@ class Neighbours:
     """Frames that a policy learnt from, ready to be asked for the nearest."""
 
     frames: F32
-    """Normalised features, shape (k, 28)."""
+    """Normalised features, shape (k, 32)."""
     squares: F32
     """Squared length of each, shape (k,)."""
     mean: F32
