@@ -7,6 +7,7 @@ from pydantic import JsonValue
 
 from flows import facts, summary
 from flows.arm_run import ArmRun, Made, no_rows
+from flows.signalling import neighbours_of
 from flows.steps_api import Progress
 from pipeline.shadow.riders import Riders
 from pipeline.simulation.recordings import Recorded
@@ -54,7 +55,8 @@ def deployed(run: ArmRun, generation: int) -> Made:
     others = run.material.riders(champion, config.riders) if config.shadow else []
     with Riders({id: run.file(id) for id in others}, patient=True) as riders:
         done = deploy(run.policy(champion), champion, run.recipe, seed=run.seed, twin=run.twin, generation=generation,
-                      folder=run.folder(), software=facts.software("deploy"), riders=riders)
+                      folder=run.folder(), software=facts.software("deploy"), riders=riders,
+                      neighbours=neighbours_of(champion, run.store) if config.shadow else None)
     numbers: dict[str, JsonValue] = {
         "robot_s": done.robot_s, "truth": "".join("01"[int(t)] for t in done.truth),
         "disagreement": [None if np.isnan(d) else round(float(d), 5) for d in done.disagreement]}
