@@ -132,8 +132,15 @@ class Material:
     def failed_attempts(self, generation: int) -> list[tuple[Episode, Trace]]:
         """Deployed attempts that a trigger stopped, whole and restorable."""
         failed = [e for e in self._store.episodes(self.ids(generation, "deploy")) if e.outcome.label == "failure"]
-        failed = self.usable(failed)  # what is corrected is taught
-        return [(e, read_episode(self._store.blob(str(e.blob)))[1]) for e in failed]
+        return self._whole(failed)
+
+    def deployed_attempts(self, generation: int) -> list[tuple[Episode, Trace]]:
+        """All deployed attempts of a lap, whole and restorable."""
+        return self._whole(self._store.episodes(self.ids(generation, "deploy")))
+
+    def _whole(self, episodes: list[Episode]) -> list[tuple[Episode, Trace]]:
+        usable = self.usable(episodes)  # what is corrected is taught
+        return [(e, read_episode(self._store.blob(str(e.blob)))[1]) for e in usable]
 
     def version(self, generation: int) -> DatasetVersion:
         """The dataset version of a lap."""

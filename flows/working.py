@@ -7,11 +7,14 @@ from pydantic import JsonValue
 
 from flows import facts, summary
 from flows.arm_run import ArmRun, Made, no_rows
+from flows.judging import judged_at
 from flows.signalling import neighbours_of
 from flows.steps_api import Progress
+from pipeline.counterfactual.cases import cases_of
 from pipeline.shadow.riders import Riders
 from pipeline.simulation.recordings import Recorded
 from pipeline.store import Transaction
+from schemas.hardcase import HardCase
 from schemas.scene import SceneSpec
 from stages.deploy import deploy, deploy_scenes
 from stages.exam import ExamResult, exam, success_by
@@ -74,11 +77,21 @@ def harvested(run: ArmRun, generation: int, progress: Progress) -> Made:
         return Made((), "this arm learns nothing new", {"robot_s": 0.0, "asked": 0, "cases": []}, no_rows)
     if new in ("random", "random-seconds"):
         return _at_random_starts(run, generation, same_seconds=new == "random-seconds")
-    attempts = run.material.failed_attempts(generation)
+    attempts, judged = _to_correct(run, generation)
     done = harvest(attempts, run.recipe, twin=run.twin, generation=generation, folder=run.folder(),
-                   software=facts.software("harvest"), arm=run.name, progress=progress,
+                   software=facts.software("harvest"), arm=run.name, progress=progress, judged=judged,
                    record_corrections=new == "corrections")
     return _corrected(run, done) if new == "corrections" else _at_failed_starts(run, generation, attempts, done)
+
+
+def _to_correct(run: ArmRun, generation: int) -> tuple[list[Attempt], list[HardCase] | None]:
+    """Attempts that a trigger stopped; or all of them, and the moments at which somebody was judged wrong."""
+    config, champion = run.recipe.harvest.judge, run.champion(generation)
+    riders = run.material.riders(champion, 1)
+    if config is None or not riders:  # the first lap has nobody to disagree with
+        return run.material.failed_attempts(generation), None
+    attempts, report = judged_at(run, generation, champion, riders[0], config)
+    return attempts, cases_of(report.judgements, generation, run.name)
 
 
 def _corrected(run: ArmRun, done: Harvested) -> Made:

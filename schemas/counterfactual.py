@@ -1,4 +1,4 @@
-"""Judgement: who was right where two policies disagreed, found by letting both go on from the same moment."""
+"""Judgement: who was right where two policies disagreed, and ShadowReport: what follows from many of them."""
 
 from typing import Literal
 
@@ -15,10 +15,12 @@ class JudgeConfig(Frozen):
     """What counts as a lasting disagreement, and how thoroughly it is judged."""
 
     threshold: float = Field(
-        default=0.1, gt=0, description="disagreement from which two policies are apart, in scales of the action")
+        default=0.05, gt=0, description="disagreement from which two policies are apart, in scales of the action")
     lasting: int = Field(default=3, ge=1, description="ticks that it has to stay there")
     draws: int = Field(default=16, ge=2, description="noise and physics draws of each policy")
     most: int | None = Field(default=None, ge=1, description="moments judged, drawn at random; all where None")
+    checked: int = Field(
+        default=50, ge=0, description="attempts, drawn at random, that both also play alone from the first tick")
     seed: int = Field(default=0, ge=0, description="of the draws, and of which moments are judged")
 
 
@@ -91,3 +93,59 @@ class Refusal(Frozen):
     episode: ShortId
     tick: int = Field(ge=0)
     reason: str
+
+
+class Change(Frozen):
+    """A change of success, as a share of the attempts, with its 95 % interval."""
+
+    estimate: float = Field(ge=-1, le=1)
+    low: float = Field(ge=-1, le=1)
+    high: float = Field(ge=-1, le=1)
+
+
+class ShadowRow(Frozen):
+    """What was found at the starts of one stratum, or of all ('all')."""
+
+    stratum: str
+    attempts: int = Field(ge=0)
+    apart: int = Field(ge=0, description="attempts with a lasting disagreement")
+    judged: int = Field(ge=0, description="of those; the others were refused, or not drawn")
+    right: dict[Right, int] = Field(description="verdict -> disagreements")
+    undecided: int = Field(ge=0, description="of the judged: an interval holds one half")
+    change: Change | None = Field(default=None, description="expected on promotion; None where nothing was judged")
+
+
+class FamilyRow(Frozen):
+    """How often each policy ended wrong in one way."""
+
+    family: str
+    champion: int = Field(ge=0, description="disagreements at which the champion was wrong, mostly so")
+    candidate: int = Field(ge=0)
+
+
+class ShadowReport(Frozen):
+    """What would change if the candidate took the champion's place, by what happened at work."""
+
+    run: ShortId
+    generation: int = Field(ge=0, description="lap whose deployment was judged")
+    twin: int
+    champion: ShortId
+    candidate: ShortId
+    former: bool = Field(description="the candidate has been champion before: to promote it is to roll back")
+    ticks: int = Field(gt=0, description="ticks at which both said what to do")
+    agreement: float = Field(ge=0, le=1, description="share of ticks with a disagreement below the threshold")
+    rows: tuple[ShadowRow, ...] = Field(description="'all' first, then every stratum")
+    families: tuple[FamilyRow, ...]
+    checked: int = Field(default=0, ge=0, description="attempts that both also played alone from the first tick")
+    from_start: Change | None = Field(default=None, description="the change in those attempts, nothing assumed")
+    missed: Change | None = Field(default=None, description="in the same attempts: from the start minus judged")
+    verdict: Literal["promote", "hold", "roll back"]
+    reason: str
+    config: JudgeConfig
+    judgements: tuple[Judgement, ...]
+    refusals: tuple[Refusal, ...]
+
+    @property
+    def change(self) -> Change | None:
+        """The expected change of success on promotion."""
+        return self.rows[0].change

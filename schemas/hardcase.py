@@ -1,17 +1,28 @@
 """HardCase: a failure worth learning from, whole and restorable."""
 
+from pydantic import Field
+
 from schemas.base import Frozen, ShortId
+from schemas.counterfactual import Judgement, Wrong
+
+
+def _not_judged(value: object) -> bool:
+    """A case that no judgement made says nothing about judgements, as before there were any."""
+    return value is None
 
 
 class HardCase(Frozen):
-    """A deployed attempt that a trigger stopped, and what became of it."""
+    """A deployed attempt that a trigger stopped, or a moment at which a policy was judged wrong; what became of it."""
 
     id: ShortId
     episode: ShortId
-    trigger: str
-    tick: int
+    trigger: str = Field(description="what noticed it; 'disagreement' where two policies were judged")
+    tick: int = Field(description="tick of the trigger, or at which the disagreement begins")
     family: str
     stratum: str
     generation: int
     correction: ShortId | None = None
     corrected: bool = False
+    wrong: Wrong | None = Field(default=None, exclude_if=_not_judged, description="who was wrong there for certain")
+    judgement: Judgement | None = Field(
+        default=None, exclude_if=_not_judged, description="both policies, their draws, and why the wrong one failed")

@@ -84,6 +84,25 @@ def judge(attempts: Sequence[Attempt], champion: Named, candidate: Named, draws:
     return Judged(apart, windows, tuple(made), tuple(refused))
 
 
+def gains_from_start(attempts: Sequence[Attempt], champion: Named, candidate: Named, draws: Sequence[Draw], lab: Lab,
+                     config: JudgeConfig, triggers: HarvestConfig) -> Array:
+    """Candidate's success minus the champion's, both alone from the first tick on; nothing is assumed here.
+
+    Args:
+        attempts: those that are judged; the number of draws is config.draws.
+        champion, candidate, draws, lab, config, triggers: as for judge.
+
+    Returns:
+        One gain an attempt, shape (len(attempts),).
+    """
+    traces = [t for _, t in attempts]
+    acted, would = (ride(named.policy, traces, ticks=1) for named in (champion, candidate))
+    moments = [moment_of(e, t, Window(0, 1, 0.0), tuple(draws), a, b)
+               for (e, t), a, b in zip(attempts, acted, would, strict=True)]
+    played = branch(moments, champion.policy, candidate.policy, lab, config, triggers)
+    return np.array([b.success[1].mean() - b.success[0].mean() for b in played])
+
+
 def chosen(windows: Sequence[Window | None], config: JudgeConfig) -> list[int]:
     """Attempts whose window is judged: all that have one, or a random sample of `most`."""
     there = [i for i, w in enumerate(windows) if w is not None]

@@ -28,7 +28,7 @@ class Ride:
     """What it remembers before it acts at each tick, shape (m, w)."""
 
 
-def ride(policy: Restorable, traces: Sequence[Trace]) -> list[Ride]:
+def ride(policy: Restorable, traces: Sequence[Trace], *, ticks: int | None = None) -> list[Ride]:
     """Let a policy see what was recorded, from the first tick on, all attempts side by side.
 
     A policy is a function of what it has seen so far, so its memory at any tick is what it would be had it ridden
@@ -37,13 +37,13 @@ def ride(policy: Restorable, traces: Sequence[Trace]) -> list[Ride]:
     Args:
         policy: forgets what it knew.
         traces: recordings, of any lengths.
+        ticks: only that many ticks of each.
     """
     policy.reset(len(traces))
-    longest = max((len(t) for t in traces), default=0)
-    lengths = np.array([len(t) for t in traces])
+    lengths = np.array([len(t) if ticks is None else min(len(t), ticks) for t in traces])
     actions: list[list[Array]] = [[] for _ in traces]
     memories: list[list[Array]] = [[] for _ in traces]
-    for tick in range(longest):
+    for tick in range(int(lengths.max(initial=0))):
         ids = np.flatnonzero(lengths > tick)
         there: list[int] = ids.tolist()
         before = policy.memory(ids)

@@ -1,0 +1,28 @@
+"""Judging: recorded deployments of a champion against any candidate, and the shadow report that comes of it."""
+
+from collections.abc import Sequence
+
+from flows.arm_run import ArmRun
+from pipeline.counterfactual.judging import Attempt
+from pipeline.counterfactual.summary import Subject
+from schemas.counterfactual import JudgeConfig, ShadowReport
+from stages.judge import judge
+
+
+def judged_at(run: ArmRun, generation: int, champion: str, candidate: str,
+              config: JudgeConfig) -> tuple[list[Attempt], ShadowReport]:
+    """The attempts of a lap's deployment, and what a candidate would have changed in them.
+
+    Raises:
+        StoreError: the lap was not deployed, or there is no such policy.
+        ConsentError: somebody in an attempt did not consent to being learnt from.
+    """
+    attempts = run.material.deployed_attempts(generation)
+    return attempts, judge(attempts, run.policy(champion), run.policy(candidate), run.recipe,
+                           subject=subject_of(run, generation, champion, candidate), config=config)
+
+
+def subject_of(run: ArmRun, generation: int, champion: str, candidate: str) -> Subject:
+    """What a report says it is about; a candidate that was champion before is a former one."""
+    earlier: Sequence[str] = [r.policy for r in run.store.releases(run.run)]
+    return Subject(run.run, generation, run.twin, champion, candidate, candidate in earlier)
