@@ -19,10 +19,12 @@ SPARED = {
     "pipeline/policies/onnx_guard.py": "refuses a policy or lets it pass as it is",
     "schemas/base.py": "kinds of ids",
     "schemas/consent.py": "what a record says stands in the metadata itself",
+    "schemas/counterfactual.py": "what was judged is no part of a recording; its thresholds stand in config.json",
     "schemas/episode.py": "the metadata holds the whole episode: a new field shows by itself",
     "schemas/hardcase.py": "is not part of a recording",
     "schemas/recipe.py": "thresholds in force are attached as config.json",
     "schemas/scene.py": "the metadata holds the whole scene",
+    "schemas/verdict.py": "proportions are no part of a recording",
 }
 """Files that the recording stages reach and that decide no byte of a recording, with the reason."""
 
