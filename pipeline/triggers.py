@@ -45,6 +45,7 @@ class Senses:
         self.gripped = np.zeros(n, bool)
         self.lost = np.zeros(n, int)
         self.released = np.zeros(n, bool)
+        self.differing = np.zeros(n, int)
         self._done = np.zeros(n, int)
 
     def update(self, observation: Observation, ids: Ids) -> None:
@@ -68,6 +69,18 @@ class Senses:
         away = np.linalg.norm(tool - cube, axis=1) > self._away
         self._done[ids] = np.where(at & low & away & (opening > self._open), self._done[ids] + 1, 0)
         self.tick[ids] += 1
+
+    def differ(self, apart: Array, ids: Ids) -> None:
+        """Take in how far the candidates in the champion's shadow are from it, as pipeline.signals tells it.
+
+        Args:
+            apart: disagreement with the nearest candidate that answered, shape (len(ids),); at a tick at which it is
+                NaN nobody answered, and the count stands still.
+            ids: the attempts.
+        """
+        if self.config.disagreement is not None:
+            grown = np.where(apart > self.config.disagreement.apart, self.differing[ids] + 1, 0)
+            self.differing[ids] = np.where(np.isnan(apart), self.differing[ids], grown)
 
     def succeeded(self, ids: Ids) -> NDArray[np.bool_]:
         """As far as the robot can tell: object on the mark and let go, for the hold time."""
@@ -108,8 +121,16 @@ def timed_out(s: Senses) -> NDArray[np.bool_]:
     return s.timed_out()
 
 
+def disagreement(s: Senses) -> NDArray[np.bool_]:
+    """Every candidate that answered has meant something else than the champion for `disagreement.ticks`."""
+    if s.config.disagreement is None:
+        return np.zeros(len(s.differing), bool)
+    return s.differing >= s.config.disagreement.ticks
+
+
 TRIGGERS: MappingProxyType[str, Trigger] = MappingProxyType({
     "stall": stall, "closed-on-nothing": closed_on_nothing, "dropped": dropped, "timed-out": timed_out,
+    "disagreement": disagreement,
 })
 """Trigger name -> rule, asked in this order. Add one: a function of Senses and an entry here."""
 

@@ -126,7 +126,7 @@ class NightlyConfig(Frozen):
     anchor_share: float = Field(default=0.1, gt=0, lt=1, description="part of the budget for tests against the anchor")
     regression_seeds: int = Field(default=8, ge=1, description="times that each regression scene is played")
     regression_lost: int = Field(
-        default=2, ge=0, description="a scene that the champion always solves is lost at so many successes or fewer")
+        default=2, ge=0, description="a scene that the champion always solves is lost at so many successes or fewer, twice")
 
     @model_validator(mode="after")
     def batches_fill_the_night(self) -> Self:
@@ -169,6 +169,13 @@ class DeployConfig(Frozen):
                         description="how many candidates ride in the champion's shadow, the newest first")
 
 
+class LastingConfig(Frozen):
+    """A disagreement that lasts, as a trigger: no candidate in the champion's shadow means what the champion does."""
+
+    apart: float = Field(default=0.05, gt=0, description="distance that every candidate which answers keeps [scales]")
+    ticks: int = Field(default=15, ge=1, description="for so long [ticks]")
+
+
 class HarvestConfig(Frozen):
     """Triggers and corrections."""
 
@@ -184,6 +191,8 @@ class HarvestConfig(Frozen):
         default=False, description="rewind and correct from true state: a labelled arm, never the default"
     )
     rewind_ticks: int = Field(default=10, ge=0, description="oracle arm only")
+    disagreement: LastingConfig | None = Field(
+        default=None, exclude_if=_none_given, description="a disagreement that lasts stops an attempt too")
     judge: JudgeConfig | None = Field(
         default=None, exclude_if=_none_given, description="correct where the policy in the champion's shadow or the "
         "champion was judged wrong, and nowhere else; where a trigger fired if not given")

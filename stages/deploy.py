@@ -146,6 +146,8 @@ class _Watch:
         """Take in one tick; returns which attempts end."""
         del action
         self.senses.update(observation, ids)
+        if (apart := self.tracer.newest().get("signal/apart")) is not None:
+            self.senses.differ(apart, ids)
         for attempt in ids:
             self.tracer.phases[attempt][tick] = self.senses.phase(attempt)
         believed = self.senses.succeeded(ids)
