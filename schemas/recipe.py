@@ -126,7 +126,7 @@ class NightlyConfig(Frozen):
     anchor_share: float = Field(default=0.1, gt=0, lt=1, description="part of the budget for tests against the anchor")
     regression_seeds: int = Field(default=8, ge=1, description="times that each regression scene is played")
     regression_lost: int = Field(
-        default=2, ge=0, description="a scene that the champion always solves is lost at so many successes or fewer, twice")
+        default=2, ge=0, description="a scene that the champion always solves is lost at so few successes, seen twice")
 
     @model_validator(mode="after")
     def batches_fill_the_night(self) -> Self:

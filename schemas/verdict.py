@@ -62,7 +62,7 @@ class Regression(Frozen):
     """The scenes that no release may lose; they can veto, and nothing else."""
 
     scenes: int = Field(ge=1)
-    seeds: int = Field(ge=1, description="times that each was played")
+    seeds: int = Field(ge=1, description="times that each was played, and again where it seemed lost")
     at_most: int = Field(ge=0, description="successes of the candidate at which a scene is lost")
     lost: tuple[LostScene, ...]
     chance: float = Field(ge=0, le=1, description="of a veto between equal policies, at most")

@@ -17,6 +17,7 @@ from pipeline.errors import ConfigError
 
 type Reals = NDArray[np.float64]
 type Counts = NDArray[np.int64]
+type Numbers = Counts | Reals | float
 
 FRACTIONS = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0)
 """Bets on the bound of a loss, as shares of the largest one that can never go broke before the last broken scene."""
@@ -25,7 +26,7 @@ NEVER = 50.0
 """A number of scenes this many times those seen is called none at all."""
 
 
-def log_gain(fixed: Counts | int, broken: Counts | int) -> Reals:
+def log_gain(fixed: Numbers, broken: Numbers) -> Reals:
     """Log capital against "a discordant scene is broken at least as often as fixed": the candidate is no better.
 
     A bet on "fixed with probability q" multiplies the capital by 2q at a fixed scene and by 2 (1 - q) at a broken
@@ -50,7 +51,7 @@ def log_gain(fixed: Counts | int, broken: Counts | int) -> Reals:
     return log(2) * (f + b + 1) + gammaln(f + 1) + gammaln(b + 1) - gammaln(f + b + 2) + above
 
 
-def log_bound(fixed: Counts | int, broken: Counts | int, n: Counts | int, margin: float) -> Reals:
+def log_bound(fixed: Numbers, broken: Numbers, n: Numbers, margin: float) -> Reals:
     """Log capital against "the candidate loses `margin` of the scenes or more".
 
     With x = 1 at a broken scene, -1 at a fixed one and 0 else, the claim says E x >= margin, so a bet of

@@ -6,13 +6,13 @@ lines. See docs/decisions.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import log
+from math import ceil, log
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]
 
-from pipeline.statistics.betting import Counts, Reals, log_bound, log_gain
+from pipeline.statistics.betting import Counts, Reals, log_bound, log_gain, times_further
 
 type Flags = NDArray[np.bool_]
 type LogGain = Callable[[Counts, Counts], Reals]
@@ -118,3 +118,22 @@ def least_capital(tally: Tally, margin: float, gain: LogGain = log_gain) -> Real
     whole = gain(tally.fixed.sum(axis=1), tally.broken.sum(axis=1))
     families = log_bound(tally.fixed, tally.broken, tally.scenes, margin)
     return np.exp(np.minimum(np.minimum(whole, families.min(axis=1)), 700.0))
+
+
+def further_tonight(tally: Tally, stake: float, margin: float) -> int | None:
+    """Further scenes of the mix after which a night would promote, at the rates seen; None where no number would do.
+
+    Args:
+        tally: of one night, shapes (1, families).
+        stake: of the night.
+        margin: loss that no family may have.
+    """
+    fixed, broken, n = (x[0].astype(np.float64) for x in (tally.fixed, tally.broken, tally.scenes))
+    needed = -log(stake)
+
+    def reached(times: float) -> bool:
+        whole = log_gain(times * fixed.sum(), times * broken.sum())
+        return bool(whole >= needed and (log_bound(times * fixed, times * broken, times * n, margin) >= needed).all())
+
+    times = times_further(reached)
+    return None if times is None else max(1, ceil((times - 1) * float(n.sum())))
