@@ -15,7 +15,7 @@ class JudgeConfig(Frozen):
     """What counts as a lasting disagreement, and how thoroughly it is judged."""
 
     threshold: float = Field(
-        default=0.05, gt=0, description="disagreement from which two policies are apart, in scales of the action")
+        default=0.04, gt=0, description="disagreement from which two policies are apart, in scales of the action")
     lasting: int = Field(default=3, ge=1, description="ticks that it has to stay there")
     draws: int = Field(default=16, ge=2, description="noise and physics draws of each policy")
     most: int | None = Field(default=None, ge=1, description="moments judged, drawn at random; all where None")

@@ -6,22 +6,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.counterfactual.ending import Ending
 from pipeline.counterfactual.moment import Lab, Moment
 from pipeline.counterfactual.restore import put_back
 from pipeline.counterfactual.ride import Restorable
 from pipeline.counterfactual.variation import branch_seed, vary
 from pipeline.protocols import Array, Ids, Observation
 from pipeline.simulation.rollout import rollout
-from pipeline.simulation.world import World
-from pipeline.triggers import TRIGGERS, Senses, family, fired, senses_of
+from pipeline.triggers import Senses
 from schemas.counterfactual import JudgeConfig
 from schemas.recipe import HarvestConfig
 
 PLACES = 1024
 """Branches that are played at once: enough to keep the engine busy, few enough for 0.5 GB."""
-
-UNNOTICED = "unnoticed"
-"""In the place of a trigger: the robot believed in success, and the judge did not."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,8 +35,7 @@ def branch(moments: Sequence[Moment], champion: Restorable, candidate: Restorabl
            triggers: HarvestConfig) -> list[Branches]:
     """Let both policies go on from every moment until the attempt ends as attempts at work end.
 
-    That is: the robot believes in success, a trigger fires, or the time is up. Each policy acts alone from the moment
-    on, with the memory that it had there.
+    See ending.Ending. Each policy acts alone from the moment on, with the memory that it had there.
 
     Args:
         moments: of one task.
@@ -68,10 +64,11 @@ def _played(moments: Sequence[Moment], policies: tuple[Restorable, Restorable], 
     put_back(world, np.arange(world.n), half * 2)
     pair = _Pair(policies, len(half))
     pair.restore([np.stack([m.champion for m in half]), np.stack([m.candidate for m in half])])
-    watch = _Watch(world, moments, np.tile(np.repeat(np.arange(n), draws), 2), triggers)
-    result = rollout(world, pair, watch=watch.tick, until_success=False)
+    ending = Ending(world, triggers)
+    _remember(ending.senses, moments, np.tile(np.repeat(np.arange(n), draws), 2))
+    result = rollout(world, pair, watch=ending.tick, until_success=False)
     success = result.success.reshape(2, n, draws)
-    why = np.array([watch.why(i, bool(ok)) for i, ok in enumerate(result.success)], object).reshape(2, n, draws)
+    why = np.array(["" if ok else ending.why(i) for i, ok in enumerate(result.success)], object).reshape(2, n, draws)
     return [Branches(success[:, i], (tuple(why[0, i]), tuple(why[1, i]))) for i in range(n)]
 
 
@@ -103,34 +100,6 @@ class _Pair:
     def memory(self, ids: Ids) -> Array:
         """Nothing: branches are not recorded."""
         return np.zeros((len(ids), 0))
-
-
-class _Watch:
-    """Ends branches by the robot's own senses, which know what was recorded before the moment."""
-
-    def __init__(self, world: World, moments: Sequence[Moment], owner: NDArray[np.intp],
-                 triggers: HarvestConfig) -> None:
-        self._senses = senses_of(world.task, world.n, triggers)
-        self._trigger = np.full(world.n, -1)
-        self._phase = [""] * world.n
-        _remember(self._senses, moments, owner)
-
-    def tick(self, tick: int, ids: Ids, observation: Observation, action: Array) -> NDArray[np.bool_]:
-        """Take in one tick; returns which branches end."""
-        del tick, action
-        self._senses.update(observation, ids)
-        believed = self._senses.succeeded(ids)
-        which = np.where(believed, -1, fired(self._senses, ids))
-        self._trigger[ids] = which
-        over = believed | (which >= 0)
-        for i in ids[over].tolist():
-            self._phase[i] = self._senses.phase(i)
-        return over
-
-    def why(self, place: int, succeeded: bool) -> str:
-        """The failure family of a branch; empty where it succeeded."""
-        index = int(self._trigger[place])
-        return "" if succeeded else family(UNNOTICED if index < 0 else list(TRIGGERS)[index], self._phase[place])
 
 
 def _remember(senses: Senses, moments: Sequence[Moment], owner: NDArray[np.intp]) -> None:

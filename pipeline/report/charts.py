@@ -102,6 +102,24 @@ def line_chart(title: str, lines: Sequence[Line], x: Axis, y: Axis, *, note: str
                    legend)
 
 
+def scatter_chart(title: str, groups: Sequence[Line], x: Axis, y: Axis, *, note: str = "",
+                  diagonal: bool = False) -> Markup:
+    """A figure of points, those of a group in one colour, with whiskers where bounds are given.
+
+    Args:
+        title, x, y, note: as for line_chart.
+        groups: points with their tips; nothing connects them.
+        diagonal: draw where x and y are equal.
+    """
+    low, high = max(x.low, y.low), min(x.high, y.high)
+    equal = [_line(Line("equal", (low, high), (low, high), 7, dashed=True), x, y)] if diagonal else []
+    body = [_grid(x, y), *equal, *(_whiskers(g, x, y) for g in groups if g.low), *(_dots(g, x, y) for g in groups)]
+    legend = [_key(g.name, g.colour, block=True) for g in groups] if len(groups) > 1 else []
+    frame = Markup(' data-x="{} {} {}" data-y="{} {} {}"').format(x.low, x.high, x.label, y.low, y.high, int(y.log))
+    return _figure(title, note, _svg(f"{title}: {y.label} by {x.label}", Markup("").join(body), HEIGHT, "dots", frame),
+                   legend)
+
+
 def stacked_bars(title: str, rows: Sequence[tuple[str, Mapping[str, float]]], unit: str, *, note: str = "") -> Markup:
     """One horizontal bar a row, its parts in the order in which they first appear, the total at its end."""
     parts = list(dict.fromkeys(part for _, values in rows for part in values))
@@ -165,10 +183,14 @@ def _line(line: Line, x: Axis, y: Axis) -> Markup:
 def _band(line: Line, x: Axis, y: Axis) -> Markup:
     over = [(_x(x, a), _y(y, b)) for a, b in zip(line.x, line.high, strict=True)]
     under = [(_x(x, a), _y(y, b)) for a, b in zip(line.x, line.low, strict=True)]
-    whiskers = Markup("").join(
-        Markup('<line class="whisker c{}" x1="{:.1f}" x2="{:.1f}" y1="{:.1f}" y2="{:.1f}"/>').format(
-            line.colour, at, at, top, bottom) for (at, top), (_, bottom) in zip(over, under, strict=True))
-    return Markup('<polygon class="band c{}" points="{}"/>').format(line.colour, _path(over + under[::-1])) + whiskers
+    band = Markup('<polygon class="band c{}" points="{}"/>').format(line.colour, _path(over + under[::-1]))
+    return band + _whiskers(line, x, y)
+
+
+def _whiskers(line: Line, x: Axis, y: Axis) -> Markup:
+    mark = Markup('<line class="whisker c{}" x1="{:.1f}" x2="{:.1f}" y1="{:.1f}" y2="{:.1f}"/>')
+    return Markup("").join(mark.format(line.colour, _x(x, a), _x(x, a), _y(y, high), _y(y, low))
+                           for a, high, low in zip(line.x, line.high, line.low, strict=True))
 
 
 def _dots(line: Line, x: Axis, y: Axis) -> Markup:
