@@ -49,15 +49,7 @@ def rollback(history: Sequence[Release]) -> Release:
     Raises:
         GateError: nothing was released before the present champion, or the history has gaps or is out of order.
     """
-    if [r.number for r in history] != list(range(1, len(history) + 1)):
-        raise GateError(f"releases {[r.number for r in history]} are not 1, 2, 3, ...", where="release history",
-                        mend="give every release of the run in order; if one is missing: hardcase doctor")
-    standing: list[Release] = []
-    for step in history:
-        if step.kind == "rollback":
-            standing = standing[:-1]
-        else:
-            standing.append(step)
+    standing = _standing(history)
     if len(standing) < 2:
         what = f"{standing[0].policy} is the first champion" if standing else "nothing was released yet"
         raise GateError(f"no earlier champion: {what}", where="release history",
@@ -67,10 +59,48 @@ def rollback(history: Sequence[Release]) -> Release:
                    verdict=target.verdict, kind="rollback", onnx=target.onnx)
 
 
+def return_to(history: Sequence[Release], policy: str, verdict: str) -> Release:
+    """The release that puts a former champion back, past all that were promoted since; nothing is erased.
+
+    Args:
+        history: every release of the run, by rising number.
+        policy: a champion that stands below the present one: the anchor.
+        verdict: what found it better than the present one.
+
+    Raises:
+        GateError: it never was champion, it is champion now, or the history has gaps or is out of order.
+    """
+    standing = _standing(history)
+    target = next((r for r in reversed(standing[:-1]) if r.policy == policy), None)
+    if target is None or standing[-1].policy == policy:
+        raise GateError(f"{policy} does not stand below the present champion", where="release history",
+                        mend=f"return to one of: {', '.join(r.policy for r in standing[:-1]) or 'none was before it'}")
+    return Release(number=len(history) + 1, policy=policy, previous=standing[-1].policy, verdict=verdict,
+                   kind="rollback", onnx=target.onnx)
+
+
+def _standing(history: Sequence[Release]) -> list[Release]:
+    """The promotions that were not taken back, the present champion last."""
+    if [r.number for r in history] != list(range(1, len(history) + 1)):
+        raise GateError(f"releases {[r.number for r in history]} are not 1, 2, 3, ...", where="release history",
+                        mend="give every release of the run in order; if one is missing: hardcase doctor")
+    standing: list[Release] = []
+    for step in history:
+        if step.kind != "rollback":
+            standing.append(step)
+            continue
+        standing.pop()
+        while standing and standing[-1].policy != step.policy:
+            standing.pop()
+    return standing
+
+
 def _mend(verdict: Verdict) -> str:
     """What to do with a candidate that did not pass."""
     if verdict.champion is None:
         return "teach it better first: more collect.demonstrations, augment.replays or train.steps in the recipe"
+    if verdict.tonight is not None:
+        return "the champion stays until a night promotes; tomorrow's candidate gets a stake of its own: hardcase night"
     if verdict.decision == "INCONCLUSIVE" and verdict.more_scenes is not None:
         total = verdict.scenes + verdict.more_scenes
         return f"the champion stays; gate on more scenes (a look at {total} in gate.looks), or train the next candidate"

@@ -127,6 +127,20 @@ MIGRATIONS: tuple[str, ...] = (
     CREATE INDEX episode_transform ON episode (json_extract(json, '$.transform'));
     CREATE INDEX episode_consent ON episode (json_extract(json, '$.consent'));
     """,
+    """
+    CREATE TABLE worth (
+        place INTEGER PRIMARY KEY, id TEXT NOT NULL UNIQUE, version TEXT NOT NULL REFERENCES version (id),
+        batch TEXT NOT NULL, decision TEXT NOT NULL, json TEXT NOT NULL
+    ) STRICT;
+    CREATE INDEX worth_batch ON worth (batch);
+    CREATE INDEX worth_version ON worth (version);
+    """,
+    """
+    CREATE TABLE night (
+        run TEXT NOT NULL REFERENCES run, generation INTEGER NOT NULL, day INTEGER NOT NULL, json TEXT NOT NULL,
+        PRIMARY KEY (run, generation)
+    ) STRICT;
+    """,
 )
 """Migration k brings a catalog from schema k to k + 1. Never edit one that was released; append."""
 

@@ -12,6 +12,7 @@ from pipeline.store.erasures import erased, erased_in, forgotten
 from pipeline.store.folder import check_id, check_prefix
 from pipeline.store.ingests import conversion, conversions, ingestion_of, raw_log
 from pipeline.store.records import RunInfo, StepManifest
+from pipeline.store.worths import hurting, worths
 from schemas.base import Frozen
 from schemas.consent import Consent
 from schemas.conversion import Conversion, Ingestion, RawLog
@@ -20,12 +21,14 @@ from schemas.episode import Episode
 from schemas.erasure import Erasure
 from schemas.finding import CheckVerdict
 from schemas.hardcase import HardCase
+from schemas.night import Night
 from schemas.policy import PolicyRecord
 from schemas.release import Release
 from schemas.verdict import Verdict
+from schemas.worth import BatchWorth
 
 TABLES = ("policy", "version", "verdict", "hard_case", "episode", "run", "raw_log", "conversion", "checked",
-          "consent", "erased")
+          "worth", "consent", "erased")
 """Tables whose rows have an id, in the order in which `find` looks."""
 
 _NAMED = {"erased": " AND kind <> 'blob'"}
@@ -152,6 +155,11 @@ class Reader:
         rows = self.query("SELECT json FROM release WHERE run = ? ORDER BY number", (check_id("run", run),))
         return [Release.model_validate_json(str(text)) for (text,) in rows]
 
+    def nights(self, run: str) -> list[Night]:
+        """What every night of a run did with its error budget, oldest first."""
+        rows = self.query("SELECT json FROM night WHERE run = ? ORDER BY generation", (check_id("run", run),))
+        return [Night.model_validate_json(str(text)) for (text,) in rows]
+
     def champion(self, run: str) -> Release | None:
         """The last release of a run, or None before the first."""
         return next(reversed(self.releases(run)), None)
@@ -174,6 +182,14 @@ class Reader:
     def check_history(self, subject: str) -> list[CheckVerdict]:
         """Every verdict on a recording or dataset, the last one last."""
         return check_history(self._catalog, subject)
+
+    def worths(self, *, last: bool = True) -> list[BatchWorth]:
+        """The last verdict on every batch that was judged, or every verdict, oldest first."""
+        return worths(self._catalog, last=last)
+
+    def hurting(self) -> list[BatchWorth]:
+        """The batches that are kept out: those whose last verdict is HURTS."""
+        return hurting(self._catalog)
 
     def raw_log(self, id: str) -> RawLog | None:
         """A foreign log by its whole hash, or None."""

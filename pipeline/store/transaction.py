@@ -18,6 +18,7 @@ from schemas.base import Frozen
 from schemas.dataset import DatasetVersion
 from schemas.episode import Episode
 from schemas.hardcase import HardCase
+from schemas.night import Night
 from schemas.policy import PolicyRecord
 from schemas.release import Release
 from schemas.verdict import Verdict
@@ -148,6 +149,12 @@ class Transaction:
         self._insert(
             "release", release, key=("run", "number"), run=self._run, number=release.number, policy=release.policy
         )
+
+    def add_night(self, night: Night) -> None:
+        """Add what a night did with the error budget; its verdicts come in the same call or before."""
+        for verdict in filter(None, (night.verdict, night.anchor_verdict)):
+            self._require("verdict", verdict, f"night of generation {night.generation}")
+        self._insert("night", night, key=("run", "generation"), run=self._run, generation=night.generation, day=night.day)
 
     def add_hard_cases(self, cases: Iterable[HardCase]) -> None:
         """Add hard cases; a stored one without a correction takes one, and nothing else of it changes."""
