@@ -34,6 +34,15 @@ def checked(store: Reader, subject: str | None) -> dict[str, str]:
     return {"check": f"{told}; {by}"}
 
 
+def worth_of(store: Reader, episodes: Sequence[str]) -> dict[str, str]:
+    """What was found of the batches that have an episode among these; the last verdict on each."""
+    held = set(episodes)
+    found = [w for w in store.worths() if not held.isdisjoint(w.episodes)]
+    told = [f"{w.id} {w.decision}: {w.says}, {w.reason}" for w in found]
+    kept_out = "; what hurts is kept out of later versions" if any(w.hurts for w in found) else ""
+    return {"worth": some(told, full=True) + kept_out} if told else {}
+
+
 def foreign_of(store: Reader, ingestions: Sequence[str], full: bool) -> dict[str, str]:
     """Where ingested episodes come from: the raw logs by hash, the maps, what was said of them, and the code."""
     rows = store.query("SELECT json FROM ingestion WHERE id IN (SELECT value FROM json_each(?)) ORDER BY place",

@@ -15,11 +15,12 @@ from pipeline.store.facts import (
     some,
     unit_of,
     users,
+    worth_of,
 )
 from pipeline.store.graph import graph_of, in_order
 from pipeline.store.groups import Record, group_facts, records
 from pipeline.store.ingests import INGEST
-from pipeline.store.origins import tell_check, tell_consent, tell_conversion, tell_erased
+from pipeline.store.origins import tell_check, tell_consent, tell_conversion, tell_erased, tell_worth
 from pipeline.store.reader import Reader
 from pipeline.store.records import RunInfo
 from pipeline.store.tree import Lineage, Used, render, to_json
@@ -97,7 +98,7 @@ def _version(store: Reader, id: str, full: bool, role: str = "") -> Lineage:
         "weights": ", ".join(f"{name} {share:g}" for name, share in v.weights.items()),
         "inputs": some([b if full else b[:12] for b in v.inputs], full),
         "folder": v.path, **made(store, "version", id), **({"parent": v.parent} if v.parent else {}),
-        **checked(store, v.digest), **lost(store, id, "incomplete"),
+        **checked(store, v.digest), **worth_of(store, v.episodes), **lost(store, id, "incomplete"),
     }  # fmt: skip
     groups = [_group(store, origin, members, full) for origin, members in by_origin.items()]
     return Lineage(kind="version", id=id, role=role, facts=facts, children=tuple(groups))
@@ -136,6 +137,7 @@ def _episode(store: Reader, id: str, full: bool, role: str = "", forward: bool =
         children.append(_episode(store, e.parent, full, "parent", forward=False))
     came = [(e.transform or "").removeprefix(INGEST)] if e.origin == "ingested" else []
     facts = node.facts | foreign_of(store, came, full) | made(store, "episode", id) | checked(store, e.blob)
+    facts |= worth_of(store, [id])
     if forward:
         children += _runs(store, "episode", id, full)
         facts |= users(store, id, full)
@@ -220,6 +222,7 @@ TELL: MappingProxyType[str, Callable[[Reader, str, bool], Lineage]] = MappingPro
         "consent": tell_consent,
         "conversion": tell_conversion,
         "checked": tell_check,
+        "worth": tell_worth,
         "erased": tell_erased,
     }
 )

@@ -1,9 +1,10 @@
-"""Where things of other kinds come from: consents, conversions, check verdicts, and what was forgotten."""
+"""Where things of other kinds come from: consents, conversions, verdicts of checks and on batches, erasures."""
 
 from pipeline.store.facts import made, some
 from pipeline.store.reader import Reader
 from pipeline.store.tree import Lineage
 from schemas.finding import CheckVerdict
+from schemas.worth import BatchWorth, WorthPart
 
 
 def tell_consent(store: Reader, id: str, full: bool) -> Lineage:
@@ -37,6 +38,26 @@ def tell_check(store: Reader, id: str, full: bool) -> Lineage:
              **({} if last.id == id else {"replaced by": last.id}),
              **{f"finding {k}": f.line() for k, f in enumerate(v.findings[:None if full else 3], 1)}}
     return Lineage(kind="checked", id=id, facts=facts)
+
+
+def tell_worth(store: Reader, id: str, full: bool) -> Lineage:
+    """What a batch was found to be worth, and whether a later verdict stands in its place."""
+    ((text,),) = store.query("SELECT json FROM worth WHERE id = ?", (id,))
+    w = BatchWorth.model_validate_json(str(text))
+    last = next(other for other in store.worths() if other.batch == w.batch)
+    facts = {"verdict": f"{w.decision}: {w.reason}", "batch": f"{w.says}, {len(w.episodes)} episodes",
+             "episodes": some(w.episodes, full), "seeds": f"{len(w.seeds_with)} with, {len(w.seeds_without)} without",
+             **{p.name: _part(p, "solved") for p in w.parts}, **{p.name: _part(p, "ended so") for p in w.families},
+             **({} if last.id == id else {"replaced by": last.id})}
+    return Lineage(kind="worth", id=id, facts=facts,
+                   children=(Lineage(kind="version", id=w.version, role="measured in", facts={}),))
+
+
+def _part(p: WorthPart, what: str) -> str:
+    """Scenes of each seed, then the difference."""
+    sides = f"{', '.join(map(str, p.with_batch))} against {', '.join(map(str, p.without))} of {p.scenes} {what}"
+    interval = "" if p.low is None or p.high is None else f" [{p.low:+.3f} {p.high:+.3f}]"
+    return f"{sides}; {p.difference:+.3f}{interval}" + ("" if p.p_holm is None else f", corrected p {p.p_holm:.2g}")
 
 
 def tell_erased(store: Reader, id: str, full: bool) -> Lineage:

@@ -10,7 +10,7 @@ from pipeline.store.erasure_plan import NEAR
 from pipeline.store.ingests import INGEST
 
 type Thing = Literal["run", "consent", "raw_log", "conversion", "episode", "hard_case", "version", "policy", "verdict",
-                     "release", "checked", "erased"]
+                     "release", "checked", "worth", "erased"]
 
 IDS = "(SELECT value FROM json_each(?))"
 _TRANSFORM, _CONSENT = "json_extract(episode.json, '$.transform')", "json_extract(episode.json, '$.consent')"
@@ -59,6 +59,7 @@ BACK: MappingProxyType[str, tuple[Relation, ...]] = MappingProxyType({
         Relation("policy", "SELECT run || ' ' || number, policy FROM release WHERE run || ' ' || number IN"
                            f" {IDS} AND json_extract(json, '$.verdict') IS NULL"),
     ),
+    "worth": (Relation("version", f"SELECT id, version FROM worth WHERE id IN {IDS}"),),
     "checked": (
         Relation("episode", "SELECT checked.id, episode.id FROM checked JOIN episode ON episode.blob = subject"
                             f" WHERE checked.id IN {IDS}"),

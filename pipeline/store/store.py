@@ -34,12 +34,14 @@ from pipeline.store.process import Holder
 from pipeline.store.reader import Reader
 from pipeline.store.transaction import Transaction
 from pipeline.store.versions import add_version
+from pipeline.store.worths import add_worth
 from schemas.consent import Consent
 from schemas.conversion import Conversion, Ingestion, RawLog
 from schemas.dataset import DatasetVersion
 from schemas.episode import Episode
 from schemas.erasure import Erasure
 from schemas.finding import CheckVerdict
+from schemas.worth import BatchWorth
 
 WAITING = 8
 """Blobs written at once: the file system commits their fsyncs together."""
@@ -172,6 +174,10 @@ class Store(Reader):
     def add_check(self, verdict: CheckVerdict) -> None:
         """Keep what the checks found; it belongs to no run and needs no lease."""
         add_check(self._catalog, verdict)
+
+    def add_worth(self, worth: BatchWorth) -> None:
+        """Keep a verdict on a batch; it belongs to no run and needs no lease."""
+        add_worth(self._catalog, worth)
 
     def add_raw_log(self, log: RawLog) -> None:
         """Note a foreign log whose bytes are a blob already; like all of its kind it needs no lease."""

@@ -24,7 +24,8 @@ ORIGINS: MappingProxyType[str, tuple[str, str]] = MappingProxyType({
 """Origin -> what one episode and many are called."""
 
 PLURAL: MappingProxyType[str, str] = MappingProxyType({"policy": "policies", "raw_log": "raw logs",
-                                                       "checked": "check verdicts"})
+                                                       "checked": "check verdicts",
+                                                       "worth": "verdicts on batches"})
 SAMPLE = 20_000
 """Largest group whose seeds and families are read."""
 
@@ -50,7 +51,8 @@ def _json(store: Reader, table: str, ids: Sequence[str]) -> list[dict[str, Any]]
     return [orjson.loads(str(text)) for (text,) in rows]
 
 
-_SINGLE: MappingProxyType[str, str] = MappingProxyType({"checked": "check verdict", "raw_log": "raw log"})
+_SINGLE: MappingProxyType[str, str] = MappingProxyType({"checked": "check verdict", "raw_log": "raw log",
+                                                        "worth": "verdict on a batch"})
 
 
 def _episodes(store: Reader, ids: Sequence[str]) -> Told:
@@ -147,8 +149,12 @@ def _checked(store: Reader, c: Mapping[str, Any]) -> tuple[str, ...]:
         f"contract {c['contract'][:12]}"
 
 
+def _worth(store: Reader, w: Mapping[str, Any]) -> tuple[str, ...]:
+    return w["decision"], f"{w['says'][:30]}", f"{len(w['seeds_with'])} + {len(w['seeds_without'])} seeds"
+
+
 _LINES: MappingProxyType[str, Callable[[Reader, Mapping[str, Any]], tuple[str, ...]]] = MappingProxyType({
     "version": _version, "policy": _policy, "verdict": _verdict, "hard_case": _hard_case, "run": _run,
-    "consent": _consent, "raw_log": _raw_log, "conversion": _conversion, "checked": _checked,
+    "consent": _consent, "raw_log": _raw_log, "conversion": _conversion, "checked": _checked, "worth": _worth,
 })
 """Kind -> what is said of a single thing."""

@@ -9,7 +9,7 @@ from pipeline.store.facts import some
 from schemas.base import Frozen
 
 type Kind = Literal["policy", "version", "group", "episode", "verdict", "hard_case", "run", "raw_log", "conversion",
-                    "consent", "checked", "erased"]
+                    "consent", "checked", "worth", "erased"]
 
 
 class Used(Frozen):
