@@ -53,7 +53,26 @@ def table(spec: mujoco.MjSpec, contact: Contact = NOMINAL) -> None:
     world.add_camera(name="top", pos=[0.31, 0, 1.0], xyaxes=[0, -1, 0, 1, 0, 0], fovy=42)
 
 
-SCENES: MappingProxyType[str, Callable[[mujoco.MjSpec, Contact], None]] = MappingProxyType({"table": table})
+def ground(spec: mujoco.MjSpec, contact: Contact = NOMINAL) -> None:
+    """Around the robot in `spec`: level ground at z = 0, a camera that stays beside it, and a light."""
+    option = spec.option
+    option.timestep = contact.timestep_s
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    option.iterations, option.ls_iterations = 8, 10
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC if contact.elliptic else mujoco.mjtCone.mjCONE_PYRAMIDAL
+    option.impratio = contact.impratio
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = 640, 480
+    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.35] * 3, [0.45] * 3
+    world = spec.worldbody
+    world.add_light(pos=[0.5, -1.5, 3.0], dir=[-0.1, 0.4, -1], diffuse=[0.6] * 3, castshadow=False)
+    world.add_geom(name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[50, 50, 0.1], contype=2, conaffinity=1,
+                   friction=[1.0, 0.01, 0.0001], rgba=(0.80, 0.76, 0.70, 1), solref=contact.solref,
+                   solimp=(*contact.solimp, 0.5, 2))
+
+
+SCENES: MappingProxyType[str, Callable[[mujoco.MjSpec, Contact], None]] = MappingProxyType(
+    {"table": table, "ground": ground})
 """Scene name -> how to build it. Add one: a function that adds to the robot's spec, and an entry here."""
 
 

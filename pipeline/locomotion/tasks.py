@@ -1,0 +1,86 @@
+"""Tasks of legged robots: how attempts start, what pushes them, when they have fallen, and what is rewarded."""
+
+from types import MappingProxyType
+from typing import Self
+
+from pydantic import Field, model_validator
+
+from pipeline.errors import unknown
+from pipeline.locomotion.rewards import REWARDS
+from schemas.base import Frozen
+
+MOST_TERMS = 5
+
+
+class Starts(Frozen):
+    """One kind of start; every range is drawn evenly, on both sides where it is a limit."""
+
+    tilt_rad: float = Field(default=0.0, ge=0, description="largest lean of the base, in any direction")
+    crouch: tuple[float, float] = Field(default=(0.0, 0.0), description="knee bend beyond home, share of what is left")
+    joint_rad: float = Field(default=0.0, ge=0, description="largest deviation of a joint from its posture")
+    speed_m_s: float = Field(default=0.0, ge=0, description="largest speed of the base over ground, in any direction")
+    turn_rad_s: float = Field(default=0.0, ge=0, description="largest turning speed of the base about each axis")
+    rare_share: float = Field(default=0.0, ge=0, le=1, description="share of the rare starts; 0 for a common kind")
+
+
+class Pushes(Frozen):
+    """Blows that change the speed of the whole robot at once: impulse divided by mass."""
+
+    speed_m_s: float = Field(default=0.0, ge=0, description="largest change of speed, in any direction over ground")
+    every_s: tuple[float, float] = Field(default=(2.0, 4.0), description="time between blows")
+
+
+class LeggedTask(Frozen):
+    """What a legged robot is to do."""
+
+    instruction: str
+    seconds: float = 10.0
+    control_hz: float = 50.0
+    substeps: int = Field(default=4, ge=1, description="steps of the engine in a control period")
+    starts: dict[str, Starts]
+    pushes: Pushes = Pushes()
+    command: tuple[tuple[float, float], tuple[float, float], tuple[float, float]] = Field(
+        default=((0, 0), (0, 0), (0, 0)), description="ranges of speed forward, left [m/s] and turning [rad/s]")
+    stride_s: float = Field(default=0.0, ge=0, description="period of the gait's clock; 0 for none")
+    fallen_rad: float = Field(default=1.0, description="lean at which an attempt has failed")
+    fallen_height: float = Field(default=0.6, description="share of the home height under which it has failed")
+    weights: dict[str, float] = Field(description="reward terms of REWARDS, at most five")
+
+    @property
+    def ticks(self) -> int:
+        """Length of a full attempt [ticks]."""
+        return round(self.seconds * self.control_hz)
+
+    @model_validator(mode="after")
+    def few_known_terms(self) -> Self:
+        """At most five terms, each of them known."""
+        if len(self.weights) > MOST_TERMS:
+            raise ValueError(f"{len(self.weights)} reward terms, at most {MOST_TERMS}: join or drop some")
+        for name in self.weights:
+            if name not in REWARDS:
+                raise unknown("reward term", name, REWARDS)
+        return self
+
+
+STAND = LeggedTask(
+    instruction="Stand, whatever pushes you.",
+    starts={"leaning": Starts(tilt_rad=0.25, crouch=(0.0, 0.6), joint_rad=0.15, speed_m_s=0.5, turn_rad_s=0.7)},
+    pushes=Pushes(speed_m_s=0.8),
+    weights={"upright": 1.0, "height": 0.5, "still": 0.5, "posture": 0.3, "effort": -0.3})
+
+WALK = LeggedTask(
+    instruction="Walk at the speed that you are told.",
+    starts={"standing": Starts(tilt_rad=0.05, joint_rad=0.05, speed_m_s=0.1)},
+    command=((0.0, 0.8), (0.0, 0.0), (0.0, 0.0)), stride_s=0.7,
+    weights={"velocity": 1.5, "heading": 0.5, "upright": 0.5, "gait": 0.7, "smooth": -0.05})
+
+LEGGED_TASKS: MappingProxyType[str, LeggedTask] = MappingProxyType({"stand": STAND, "walk": WALK})
+"""Task name -> its config. Add one: a LeggedTask, and an entry here."""
+
+
+def load_legged_task(name: str) -> LeggedTask:
+    """The task of that name; ConfigError lists the valid ones."""
+    if name not in LEGGED_TASKS:
+        raise unknown("task", name, LEGGED_TASKS)
+    return LEGGED_TASKS[name]
+
