@@ -62,7 +62,8 @@ def teleop(
         robot=robot, robot_keys=_pairs(robot_key, "--robot-key"), teleop=teleop,
         teleop_keys=_pairs(teleop_key, "--teleop-key"), plugins=tuple(plugin or ()), policy=policy,
         shadows=tuple(shadow or ()), task=task, stratum=stratum, operator=operator, consent=consent,
-        episodes=episodes, cameras=tuple(camera or ()), size=picture_size(size), hz=hz, speed=speed, hand_speed=hand_speed, max_step=_steps(max_step), max_s=max_s,
+        episodes=episodes, cameras=tuple(camera or ()), size=picture_size(size), hz=hz, speed=speed,
+        hand_speed=hand_speed, max_step=_steps(max_step), max_s=max_s,
         by_key=by_key, stop_on_trigger=stop_on_trigger)
     if run_teleop(order, store_root(), as_json=json):
         raise typer.Exit(INTERRUPTED)

@@ -55,8 +55,8 @@ class Candidate:
         """What became of it."""
         self._why, self._limits, self._patient = "", limits, patient
         self._late = self._lost = self._broken = self._ticks = 0
-        self._odd = False
-        """Whether it answered something that is not finite at this tick."""
+        self._odd = self._full = False
+        """Whether it answered something that is not finite at this tick; whether a question was lost."""
         self._open: dict[int, _Open] = {}
         self._actions, self._first = np.zeros((0, len(ACTION))), 0
         self._waited_s = 0.0
@@ -89,21 +89,21 @@ class Candidate:
     def tick(self, packets: list[tuple[int, slice, bytes]], rows: int) -> None:
         """Ask the questions of one tick, for `rows` attempts in all; what does not fit on the way is lost."""
         self._actions, self._first = np.full((rows, len(ACTION)), np.nan), packets[0][0] if packets else self._first
-        self._odd = False
+        self._odd = self._full = False
         self.hear()
         if self.word in OVER:
             return
-        now, self._ticks, lost = time.monotonic(), self._ticks + 1, False
+        now, self._ticks = time.monotonic(), self._ticks + 1
         for number, place, packet in packets:
             try:
                 self._line.send(packet)
                 self._open[number] = _Open(place, now)
             except BlockingIOError:
-                lost = True
+                self._full = True
             except OSError:
                 self.hear()  # it may have said why it ends
                 return
-        self._lost += lost
+        self._lost += self._full
         self._check_time(now)
 
     def hear(self) -> None:
@@ -126,10 +126,11 @@ class Candidate:
 
     def settle(self) -> Array:
         """Its actions for this tick, NaN where there is none; from here on an answer is too late."""
-        if self.word in ("running", "late", "broken"):
-            behind = self.asked
-            self._late += behind
-            self.word = "late" if behind else "broken" if self._odd else "running"
+        if self.word in OVER:
+            self._actions[:] = np.nan
+        elif self.word != "starting":
+            self._late += self.asked
+            self.word = "late" if self.asked or self._full else "broken" if self._odd else "running"
         return self._actions
 
     def waited(self, seconds: float) -> None:

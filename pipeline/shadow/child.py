@@ -35,11 +35,8 @@ def main() -> None:
         fence.enclose(reading=True)
         try:
             policy = _warm(onnx_policy.OnnxPolicy(Path(file)))
-        except PolicyError as error:
-            line.send(wire.word(wire.REFUSED, f"{error.what} (mend: {error.mend})"))
-            return
-        except MemoryError:
-            line.send(wire.word(wire.REFUSED, _short(int(memory_bytes))))
+        except (PolicyError, MemoryError) as error:
+            line.send(wire.word(wire.REFUSED, _why(error, int(memory_bytes))))
             return
         fence.no_more_files()
         fenced = fence.enclose(reading=False)
@@ -64,15 +61,16 @@ def _serve(policy: "OnnxPolicy", line: socket.socket, memory_bytes: int) -> None
         try:
             said = wire.answer(asked.number, policy.act(asked.observation, asked.ids))
         except (PolicyError, MemoryError) as error:
-            short = isinstance(error, MemoryError) or "alloc" in str(error.__cause__)
-            why = _short(memory_bytes) if short else one_line(error.__cause__ or error)
-            line.send(wire.word(wire.FAILED, why, asked.number))
+            line.send(wire.word(wire.FAILED, _why(error, memory_bytes), asked.number))
             return
         line.send(said)
 
 
-def _short(memory_bytes: int) -> str:
-    return f"takes more than {memory_bytes / 2**20:.0f} MiB of memory"
+def _why(error: Exception, memory_bytes: int) -> str:
+    """What went wrong, as one line; ONNX Runtime says in words that it got no memory."""
+    if isinstance(error, MemoryError) or "alloc" in str(error.__cause__):
+        return f"takes more than {memory_bytes / 2**20:.0f} MiB of memory"
+    return f"{error.what} (mend: {error.mend})" if isinstance(error, PolicyError) else one_line(error)
 
 
 if __name__ == "__main__":

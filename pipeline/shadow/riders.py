@@ -43,7 +43,7 @@ class Riders:
 
     def ready(self) -> None:
         """Wait until each candidate has loaded its file or failed at it: before the robot moves, not while it does."""
-        self._wait(lambda candidate: candidate.word == "starting")
+        self._wait(lambda candidate: candidate.word == "starting", counts=False)
 
     def reset(self, n: int) -> None:
         """Have all forget everything and prepare for n attempts."""
@@ -69,7 +69,7 @@ class Riders:
         for candidate in self._all:
             candidate.hear()
         if self._patient:
-            self._wait(lambda candidate: candidate.asked)
+            self._wait(lambda candidate: candidate.asked, counts=True)
         return {candidate.id: candidate.settle() for candidate in self._all}
 
     def states(self) -> Mapping[str, str]:
@@ -109,8 +109,8 @@ class Riders:
                  trace: TracebackType | None) -> None:
         self.close()
 
-    def _wait(self, awaited: Callable[[Candidate], bool]) -> None:
-        """Let time pass until nobody is awaited any more, by an answer or by a limit."""
+    def _wait(self, awaited: Callable[[Candidate], bool], *, counts: bool) -> None:
+        """Let time pass until nobody is awaited any more, by an answer or by a limit; it may count as waited for."""
         while waiting := [candidate for candidate in self._all if awaited(candidate)]:
             poll, began = select.poll(), time.monotonic()
             for candidate in waiting:
@@ -118,4 +118,4 @@ class Riders:
             poll.poll(LOOK_S * 1000)
             for candidate in waiting:
                 candidate.hear()
-                candidate.waited(time.monotonic() - began)
+                candidate.waited(time.monotonic() - began if counts else 0.0)
