@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from flows.by_hand import run_stage
+from flows.record import RecordOrder, run_record
 from flows.teleop_devices import TeleopOrder
 from flows.teleoperation import run_teleop
 from pipeline.consent import Consents
-from pipeline.errors import ConsentError
+from pipeline.errors import ConsentError, HardcaseError
 from pipeline.lerobot_view.training_data import TrainingData
 from pipeline.recording import read_episode, read_frames
 from pipeline.simulation.world import CONTROLLER_WIDTH
@@ -128,3 +129,27 @@ def test_a_trigger_notices_where_the_policy_fails(taught, pad, plugins_everywher
         assert ended.tick == noticed.tick == episode.frames - 1
     else:
         assert (ended.label, episode.frames) == ("unknown", 400), "the person did nothing, and time was up"
+
+
+def test_a_candidate_watches_policy_and_person_and_what_it_says_is_recorded(taught, pad, plugins_everywhere, capsys):
+    (policy,) = taught.policies()
+    rows = [{}] * 8 + [{"delta_z": 1.0, "is_intervention": 1}] * 6 + [{"terminate_episode": 1, "is_intervention": 1}]
+    order = TeleopOrder(robot="twin:3", teleop="lerobot:virtual_pad", teleop_keys=pad(rows), operator="p1",
+                        policy="champion", shadows=("champion", policy.id[:8]))
+    run_teleop(order, taught.root)
+    _, trace = read_episode(taught.blob(taught.episodes(policy=policy.id)[-1].blob))
+    apart = trace.shadows[policy.id].disagreement
+    heard = np.isfinite(apart)  # on a busy machine some answers come late
+    assert len(trace.shadows) == 1 and len(apart) == 15
+    assert (apart[:8][heard[:8]] == 0).all(), "the champion in its own shadow"
+    assert (apart[8:14][heard[8:14]] > 0).all(), "a person lifts the hand, the policy would not"
+    assert f"shadow {policy.id}: " in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("name", "what", "mend"), [
+    ("expert", "the expert is no candidate", "name a policy's id, or champion"),
+    ("0" * 16, "is not in the store", "mend: ")], ids=["expert", "nobody"])
+def test_what_cannot_watch_is_refused_before_the_robot_moves(taught, tmp_path, name, what, mend):
+    with pytest.raises(HardcaseError, match=what) as caught:
+        run_record(RecordOrder(tmp_path / "a.mcap", shadows=(name,)), taught.root)
+    assert mend in str(caught.value) and not list(tmp_path.iterdir())
