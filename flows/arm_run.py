@@ -14,7 +14,8 @@ from flows.material import Material
 from flows.steps_api import StepResult
 from pipeline.errors import GateError
 from pipeline.files import short_id
-from pipeline.policies.onnx_policy import OnnxPolicy
+from pipeline.policies.table import policy_kind
+from pipeline.protocols import Policy
 from pipeline.simulation.recordings import Recorded
 from pipeline.store import Lease, Store, Transaction
 from schemas.episode import Episode
@@ -52,6 +53,9 @@ class ArmRun:
         arm: key of ARMS.
         base: the loop that a control arm is compared with; generation 0 is shared with it.
     """
+
+    day: int | None = None
+    """Number of the day of a run by the clock, whose nights share an error budget; None by hand [d]."""
 
     def __init__(self, store: Store, lease: Lease, recipe: Recipe, seed: int, twin: int, arm: str,
                  base: Self | None = None) -> None:
@@ -114,9 +118,9 @@ class ArmRun:
         self.material.outputs(generation, "release")
         return champion.policy
 
-    def policy(self, policy: str) -> OnnxPolicy:
+    def policy(self, policy: str) -> Policy:
         """The released form of a policy, ready to act."""
-        return OnnxPolicy(self.file(policy))
+        return policy_kind(self.store.policy(policy).kind).open(self.file(policy))
 
     def file(self, policy: str) -> Path:
         """The released form of a policy."""

@@ -2,17 +2,20 @@
 
 from collections.abc import Mapping
 
-from flows import facts
+from flows import facts, nights
 from flows.arm_run import ArmRun, Made, no_rows
-from flows.footage import footage_of, shown
+from flows.footage import filming, shown
 from flows.steps_api import Progress
+from flows.worth_door import held_back, spared
 from pipeline.errors import GateError
-from pipeline.lerobot_view.training_data import TrainingData
+from pipeline.policies.table import policy_kind
 from pipeline.shards import write_shard
 from pipeline.simulation.evaluation import evaluate, gate_scenes
 from pipeline.simulation.tasks import load_task
+from pipeline.store import Transaction
 from schemas.consent import SIMULATED
 from schemas.episode import Episode
+from schemas.policy import PolicyRecord
 from schemas.scene import SceneSpec
 from stages.augment import augment
 from stages.build import build
@@ -87,18 +90,20 @@ def built(run: ArmRun, generation: int) -> Made:
         everything += [e for e in run.material.driven(run.recipe) if e.id not in known]
     standing = consents.standing(everything)
     verdicts = run.material.verdicts(standing)
-    sound = verdicts.passing(standing)
-    footage = footage_of(run.store, run.recipe)
-    seen = shown(sound, footage, run.recipe)
-    version = build(seen, run.material.frames, run.recipe, store=run.store.root,
-                    task=load_task(run.recipe.task).instruction, generation=generation, parent=parent,
-                    consents=consents, verdicts=verdicts, footage=footage)
+    passing = verdicts.passing(standing)
+    sound, hurting = spared(run, passing)
+    with filming(run.store, run.recipe, run.material.frames, sound) as footage:
+        seen = shown(sound, footage, run.recipe)
+        version = build(seen, run.material.frames, run.recipe, store=run.store.root,
+                        task=load_task(run.recipe.task).instruction, generation=generation, parent=parent,
+                        consents=consents, verdicts=verdicts, footage=footage)
     says = f"{len(version.episodes)} episodes, {version.frames} frames"
     if out := len(everything) - len(standing):
         says += f"; {out} left out, their consent has ended"
     wanted = run.recipe.dataset.sources
-    if failed := sum(e.origin in wanted for e in standing) - sum(e.origin in wanted for e in sound):
+    if failed := sum(e.origin in wanted for e in standing) - sum(e.origin in wanted for e in passing):
         says += f"; {failed} left out, they failed their check"
+    says += hurting
     if dark := len(sound) - len(seen):
         says += f"; {dark} left out, a camera of the recipe has no pictures of them"
     return Made((version.id,), says, {"frames": version.frames}, lambda tx: tx.add_version(version))
@@ -110,22 +115,37 @@ def trained(run: ArmRun, generation: int, progress: Progress) -> Made:
     episodes = run.store.episodes(version.episodes)
     parents = run.store.episodes({e.parent for e in episodes if e.parent})
     run.material.verdicts([*parents, *episodes], version).check_version(version, episodes, parents)
-    data = TrainingData.load(run.store.path(version.path), run.material.consents())
-    policy = train(version, data, run.recipe.train, seed=1000 * run.seed + generation, store=run.store.root,
-                   progress=lambda done, total, loss: progress(done, total))
+    data = policy_kind(run.recipe.train.policy).load(run.store.path(version.path), run.material.consents())
+    seeds, made = nights.training_seeds(run, generation), list[PolicyRecord]()
+    for k, seed in enumerate(seeds):
+        made.append(train(version, data, run.recipe.train, seed=seed, store=run.store.root,
+                          progress=lambda done, total, loss, k=k: progress(done + k * total, total * len(seeds))))
+    choice = nights.choose(run, generation, made) if len(made) > 1 else None
+    policy = next(p for p in made if choice is None or p.id == choice.chosen)
     says = f"loss {policy.train_loss[-1][1]:.3f}, ONNX within {policy.onnx_error:.0e}"
-    return Made((policy.id,), says, {}, lambda tx: tx.add_policy(policy))
+    if choice is not None:
+        says += f", best of {len(made)}: {choice.solved[policy.id]} of {choice.scenes} selection scenes"
+
+    def write(tx: Transaction) -> None:
+        for each in made:
+            tx.add_policy(each)
+
+    ids = (policy.id, *(p.id for p in made if p is not policy))
+    return Made(ids, says, {"selection": choice.model_dump(mode="json")} if choice else {}, write)
 
 
 def judged(run: ArmRun, generation: int, progress: Progress) -> Made:
     """Candidate against champion in the training-side simulation."""
     candidate, champion, recipe = run.candidate(generation), run.store.champion(run.run), run.recipe
+    if recipe.gate.nightly is not None and champion is not None:
+        return nights.judged(run, generation, champion.policy, progress)
     rare = run.material.harvested_strata()
     policies = {p: run.policy(p) for p in {candidate, *((champion.policy,) if champion else ())}}
 
     def scenes(start: int, stop: int) -> list[SceneSpec]:
         return gate_scenes(recipe.task, recipe.robot, recipe.scene, seed=run.seed, generation=generation,
-                           start=start, stop=stop, rare=rare, rare_share=recipe.gate.rare_share)
+                           start=start, stop=stop, rare=rare, rare_share=recipe.gate.rare_share,
+                           appearance=bool(recipe.dataset.cameras))
 
     verdict = gate(candidate, champion.policy if champion else None, generation=generation, scenes=scenes,
                    evaluate=lambda p, s: evaluate(policies[p], s, threads=recipe.threads).success,
@@ -140,7 +160,11 @@ def released(run: ArmRun, generation: int) -> Made:
     verdict = run.store.verdict(run.material.ids(generation, "gate")[0])
     champion = run.store.champion(run.run)
     if verdict.decision in ("PASS", "BOOTSTRAP"):
+        if (held := held_back(run, verdict)) is not None:
+            return held
         new = release(verdict, champion, run.store.policy(verdict.candidate))
+        if (back := nights.returned(run, generation, new)) is not None:
+            return nights.rolled_back(new, back)
         return Made((new.policy,), f"{verdict.decision}: release {new.number}", {"released": True},
                     lambda tx: tx.add_release(new))
     if champion is None:

@@ -8,6 +8,7 @@ from pydantic import JsonValue
 from flows import facts, summary
 from flows.arm_run import ArmRun, Made, no_rows
 from flows.judging import judged_at
+from flows.seeing import filmed, sight_of
 from flows.signalling import neighbours_of
 from flows.steps_api import Progress
 from pipeline.counterfactual.cases import cases_of
@@ -57,9 +58,11 @@ def deployed(run: ArmRun, generation: int) -> Made:
     config = run.recipe.deploy
     others = run.material.riders(champion, config.riders) if config.shadow else []
     with Riders({id: run.file(id) for id in others}, patient=True) as riders:
-        done = deploy(run.policy(champion), champion, run.recipe, seed=run.seed, twin=run.twin, generation=generation,
+        policy = run.policy(champion)
+        done = deploy(policy, champion, run.recipe, seed=run.seed, twin=run.twin, generation=generation,
                       folder=run.folder(), software=facts.software("deploy"), riders=riders,
-                      neighbours=neighbours_of(champion, run.store) if config.shadow else None)
+                      neighbours=neighbours_of(champion, run.store) if config.shadow else None,
+                      sight=sight_of(policy, run.twin))
     numbers: dict[str, JsonValue] = {
         "robot_s": done.robot_s, "truth": "".join("01"[int(t)] for t in done.truth),
         "disagreement": [None if np.isnan(d) else round(float(d), 5) for d in done.disagreement]}
@@ -67,7 +70,7 @@ def deployed(run: ArmRun, generation: int) -> Made:
         numbers["shadows"] = dict(done.shadows)
     flagged = sum(r.episode.outcome.label == "failure" for r in done.recorded)
     says = f"{flagged} of {len(done.recorded)} attempts flagged by the robot"
-    return run.recorded(done.recorded, says, numbers)
+    return run.recorded(filmed(done.recorded, run.recipe, run.twin), says, numbers)
 
 
 def harvested(run: ArmRun, generation: int, progress: Progress) -> Made:
@@ -96,7 +99,8 @@ def _to_correct(run: ArmRun, generation: int) -> tuple[list[Attempt], list[HardC
 
 def _corrected(run: ArmRun, done: Harvested) -> Made:
     good = sum(c.corrected for c in done.cases)
-    made = run.recorded(done.recorded, f"{len(done.cases)} hard cases, {good} of {len(done.recorded)} corrected",
+    recorded = filmed(done.recorded, run.recipe, run.twin)
+    made = run.recorded(recorded, f"{len(done.cases)} hard cases, {good} of {len(done.recorded)} corrected",
                         {"robot_s": done.robot_s, "asked": len(done.recorded), "cases": [c.id for c in done.cases]})
 
     def write(tx: Transaction) -> None:
@@ -127,6 +131,7 @@ def _demonstrated(run: ArmRun, generation: int, starts: Sequence[SceneSpec], bud
     if starts:
         recorded = _within(demonstrate(starts, run.recipe, twin=run.twin, generation=generation, folder=run.folder(),
                                        software=facts.software("harvest")), budget_s)
+        recorded = filmed(recorded, run.recipe, run.twin)
     seconds = sum(r.episode.duration_s for r in recorded)
     return run.recorded(recorded, f"{len(recorded)} demonstrations, {seconds:.0f} s",
                         {"robot_s": seconds, "asked": len(recorded), "cases": []})

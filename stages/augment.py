@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from pipeline.errors import SimulationError
 from pipeline.frames import Frames
 from pipeline.protocols import Array
+from pipeline.simulation.appearance import randomize_look
 from pipeline.simulation.bodies import load_body
 from pipeline.simulation.model import compose
 from pipeline.simulation.physics import from_draws, randomize
@@ -18,6 +19,7 @@ from pipeline.simulation.tasks import load_task, sample_scene, scene_seed
 from pipeline.simulation.tracing import Tracer
 from pipeline.simulation.variants import Path, Playback, path_of, retarget, survival
 from pipeline.simulation.world import HOME, World
+from pipeline.trace import Trace
 from pipeline.triggers import stratum_of
 from schemas.episode import Episode, Outcome, Segment
 from schemas.recipe import AugmentConfig
@@ -89,6 +91,12 @@ def remake(variant: Episode, parent: Parent, *, threads: int = 1) -> Frames:
     return frames
 
 
+def replayed(variants: Sequence[tuple[Episode, Parent]], *, threads: int = 1) -> dict[str, Array]:
+    """Play variants again and keep what no shard holds: id -> simulator states, mjSTATE_INTEGRATION rows, one a frame."""
+    again = [_Variant(variant, *parent) for variant, parent in variants]
+    return {v.episode.id: trace.sim_state for v, (trace, *_) in zip(again, _traced(again, threads), strict=True)}
+
+
 @dataclass(frozen=True, slots=True)
 class _Variant:
     episode: Episode
@@ -114,6 +122,9 @@ class _Plan:
         parent, frames = parents[int(rng.integers(len(parents)))] if self._elsewhere else parents[i % len(parents)]
         scene = _perceived(parent, frames).model_copy(update={
             "family": "augment", "seed": scene_seed("augment", *words), "draws": randomize(rng, self.config.widen)})
+        if self.config.appearance:  # from a generator of its own: physics and start are those of a run without looks
+            look = randomize_look(np.random.default_rng([19, *words]), self.config.widen)
+            scene = scene.model_copy(update={"draws": (*scene.draws, *look)})
         made_by = transform
         if transform == "retarget" and self.near:
             place = self.near[i % len(self.near)]
@@ -160,6 +171,12 @@ def _close_to(place: Parent, scene: SceneSpec, rng: np.random.Generator) -> Scen
 
 
 def _play(variants: Sequence[_Variant], threads: int) -> list[tuple[Episode, Frames]]:
+    return [_finished(v.episode, trace.frames(), ok, _resumes(trace.controller[:, -3], begins))
+            for v, (trace, ok, begins) in zip(variants, _traced(variants, threads), strict=True)]
+
+
+def _traced(variants: Sequence[_Variant], threads: int) -> list[tuple[Trace, bool, int]]:
+    """What each variant left behind, whether it succeeded, and the action from which a demonstrator acts."""
     scenes = [v.episode.scene for v in variants]
     setup = compose(load_body(scenes[0].robot), scenes[0].scene)
     world = World(setup, scenes, from_draws([s.draws for s in scenes]), threads=threads)
@@ -168,8 +185,8 @@ def _play(variants: Sequence[_Variant], threads: int) -> list[tuple[Episode, Fra
     policy = Playback([a for a, _ in actions])
     tracer = Tracer(world)
     result = rollout(world, policy, horizon=HORIZON, tracer=tracer)
-    return [_finished(v.episode, trace.frames(), bool(ok), _resumes(trace.controller[:, -3], begins))
-            for v, trace, ok, (_, begins) in zip(variants, tracer.traces(), result.success, actions, strict=True)]
+    return [(trace, bool(ok), begins)
+            for trace, ok, (_, begins) in zip(tracer.traces(), result.success, actions, strict=True)]
 
 
 def _begins(episode: Episode) -> int:

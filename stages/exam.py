@@ -6,9 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.protocols import Array, Policy
+from pipeline.simulation.eyes import with_eyes
 from pipeline.simulation.rollout import rollout
 from pipeline.simulation.tasks import load_task, sample_scene, scene_seed
 from pipeline.statistics import deployment_mix, wilson
+from pipeline.twin.look import twin_look
 from pipeline.twin.twin import draw_twin, twin_world
 from schemas.recipe import Recipe
 from schemas.scene import SceneSpec
@@ -30,7 +32,8 @@ def exam(policy: Policy, recipe: Recipe, *, seed: int, twin: int) -> ExamResult:
     scenes = exam_scenes(recipe, seed=seed, twin=twin)
     world = twin_world(draw_twin(twin), scenes, threads=recipe.threads)
     policy.reset(world.n)
-    result = rollout(world, policy, with_rewards=True)
+    with with_eyes(policy, world, [twin_look(twin)] * world.n) as driver:
+        result = rollout(world, driver, with_rewards=True)
     return ExamResult(result.success, tuple(s.stratum for s in scenes), result.rewards)
 
 

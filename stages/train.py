@@ -8,13 +8,13 @@ import pipeline
 from pipeline.errors import PolicyError
 from pipeline.files import atomic, sha256, sha256_file, short_id, source_hash, sync_folder
 from pipeline.policies.resuming import newest
-from pipeline.policies.source import TrainingSource
 from pipeline.policies.table import Progress, policy_kind
 from schemas.dataset import DatasetVersion
 from schemas.policy import PolicyRecord
 from schemas.recipe import TrainConfig
 
 if TYPE_CHECKING:
+    from pipeline.policies.act_training import FittedAct
     from pipeline.policies.training import Fitted
 
 FOLDER = "policies"
@@ -27,7 +27,7 @@ RECORD = "hardcase.json"
 """Name of the policy's record inside its folder; the one file that it does not name itself."""
 
 
-def train(version: DatasetVersion, data: TrainingSource, config: TrainConfig, *, seed: int, store: Path,
+def train(version: DatasetVersion, data: object, config: TrainConfig, *, seed: int, store: Path,
           progress: Progress | None = None) -> PolicyRecord:
     """Train the policy that config and seed ask for, or return it if it is already there.
 
@@ -36,7 +36,7 @@ def train(version: DatasetVersion, data: TrainingSource, config: TrainConfig, *,
 
     Args:
         version: what is learnt from.
-        data: its frames in memory: TrainingData.load(store / version.path).
+        data: its frames in memory, as the kind of policy loads them: policy_kind(config.policy).load.
         config: kind and size of the policy, steps, learning rate.
         seed: decides weights and batches.
         store: root of the store.
@@ -98,7 +98,7 @@ def _hashes(folder: Path) -> dict[str, str]:
     return {path.name: sha256_file(path) for path in sorted(folder.iterdir()) if path.name != RECORD}
 
 
-def _metrics(fitted: "Fitted") -> dict[str, float]:
+def _metrics(fitted: "Fitted | FittedAct") -> dict[str, float]:
     losses = {"train_loss": fitted.train_loss, "held_out_loss": fitted.held_out_loss}
     return {name: curve[-1][1] for name, curve in losses.items() if curve} | {
         "parameters": float(sum(weights.size for weights in fitted.weights.values()))}

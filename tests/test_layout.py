@@ -33,7 +33,7 @@ LATE = {"torch", "lerobot", "prefect", "mujoco", "rerun"}
 
 LIGHT = ("schemas/", "pipeline/store/", "pipeline/recording/", "flows/cli.py")
 TWIN_USERS = ("pipeline/twin/", "stages/deploy.py", "stages/harvest.py", "stages/exam.py", "stages/judge.py",
-              "flows/reporting.py", "flows/teleop_devices.py")
+              "flows/reporting.py", "flows/seeing.py", "flows/teleop_devices.py")
 TRAINING_SIDE = (
     *(f"stages/{stage}.py" for stage in ("collect", "augment", "build", "train", "gate", "release")),
     "flows/learning.py",

@@ -77,8 +77,3 @@ def look_from(draws: Iterable[Draw]) -> Look:
 def look_draws(draws: Iterable[Draw]) -> tuple[Draw, ...]:
     """Those draws that are about the look."""
     return tuple(d for d in draws if d.name in LOOKS)
-
-
-def physical(draws: Iterable[Draw]) -> tuple[Draw, ...]:
-    """Those draws that are about physics."""
-    return tuple(d for d in draws if d.name not in LOOKS)

@@ -5,7 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from pipeline.protocols import Policy
+from pipeline.simulation.appearance import look_from, randomize_look
 from pipeline.simulation.bodies import load_body
+from pipeline.simulation.eyes import with_eyes
 from pipeline.simulation.model import compose
 from pipeline.simulation.physics import from_draws, randomize
 from pipeline.simulation.rollout import Result, rollout
@@ -15,15 +17,16 @@ from schemas.scene import SceneSpec
 
 
 def evaluate(policy: Policy, scenes: Sequence[SceneSpec], *, threads: int, with_rewards: bool = False) -> Result:
-    """Play scenes of the training-side simulation, each under its own draws."""
+    """Play scenes of the training-side simulation, each under its own draws; rendered only for a policy that sees."""
     setup = compose(load_body(scenes[0].robot), scenes[0].scene)
     world = World(setup, scenes, from_draws([s.draws for s in scenes]), threads=threads)
     policy.reset(world.n)
-    return rollout(world, policy, with_rewards=with_rewards)
+    with with_eyes(policy, world, [look_from(s.draws) for s in scenes]) as driver:
+        return rollout(world, driver, with_rewards=with_rewards)
 
 
 def gate_scenes(task: str, robot: str, scene: str, *, seed: int, generation: int, start: int, stop: int,
-                rare: Sequence[str], rare_share: float) -> list[SceneSpec]:
+                rare: Sequence[str], rare_share: float, appearance: bool = False) -> list[SceneSpec]:
     """Scenes start..stop of the gate's sequence: randomized physics, starts from the common and the harvested strata.
 
     Strata are interleaved, so that every look holds its shares; without a harvested stratum all are common.
@@ -35,6 +38,7 @@ def gate_scenes(task: str, robot: str, scene: str, *, seed: int, generation: int
         start, stop: part of the sequence.
         rare: strata harvested so far.
         rare_share: share of scenes that start in them.
+        appearance: draw what each scene looks like, too: the gate of a policy that sees.
     """
     common = load_task(task).common
     made: list[SceneSpec] = []
@@ -44,6 +48,8 @@ def gate_scenes(task: str, robot: str, scene: str, *, seed: int, generation: int
         stratum = rare[nth % len(rare)] if is_rare else common[i % len(common)]
         words = scene_seed("gate", seed, generation, i)
         drawn = randomize(np.random.default_rng([23, words]))
+        if appearance:
+            drawn = (*drawn, *randomize_look(np.random.default_rng([29, words])))
         made.append(sample_scene(task, "gate", words, stratum, robot=robot, scene=scene)
                     .model_copy(update={"draws": drawn}))
     return made

@@ -1,10 +1,16 @@
-"""Eyes: pictures of n attempts as the cameras of their own scenes see them, each under its own look."""
+"""Eyes: pictures of n attempts as the cameras of their own scenes see them, each under its own look.
+
+A policy that sees is driven through `with_eyes`: everybody else renders nothing.
+"""
 
 # mujoco is a compiled package without type stubs
 # pyright: reportMissingTypeStubs=false, reportAttributeAccessIssue=false, reportUnknownMemberType=false
 # pyright: reportUnknownVariableType=false, reportUnknownParameterType=false, reportUnknownArgumentType=false
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Any, Self
 
@@ -12,9 +18,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.errors import unknown
-from pipeline.simulation.appearance import NOMINAL, Look
+from pipeline.errors import PolicyError, unknown
+from pipeline.files import source_hash
+from pipeline.protocols import Array, Ids, Observation, Policy, SeeingPolicy
+from pipeline.simulation import appearance, rendering
+from pipeline.simulation.appearance import Look
 from pipeline.simulation.rendering import CLOSE_UP, FilmCamera, View
+from pipeline.simulation.world import World
 
 type Pictures = NDArray[np.uint8]
 """RGB, shape (k, height, width, 3)."""
@@ -122,9 +132,61 @@ def texture(contrast: float, grain: float, pattern: float) -> NDArray[np.uint8]:
     return np.rint(255 * (1 - min(1.0, contrast) * waves)).astype(np.uint8)
 
 
-def looks_of(n: int, look: Look = NOMINAL) -> list[Look]:
-    """The same look for n attempts."""
-    return [look] * n
+@contextmanager
+def with_eyes(driver: Policy, world: World, looks: Sequence[Look], *others: Policy) -> Generator[Policy]:
+    """`driver` with pictures in its observations; as it is where neither it nor one of the others asks for any.
+
+    Args:
+        driver: acts.
+        world: where; its present state is what is seen.
+        looks: of each attempt.
+        others: policies that the driver asks, and that may see.
+
+    Raises:
+        PolicyError: two policies ask one camera for pictures of different sizes.
+        ConfigError: the scene has no such camera.
+        SimulationError: nothing can render here.
+    """
+    wanted: dict[str, tuple[int, int]] = {}
+    for policy in (driver, *others):
+        for camera, size in policy.cameras.items() if isinstance(policy, SeeingPolicy) else ():
+            wanted[camera] = size
+    if not wanted:
+        yield driver
+        return
+    sizes = {size for p in (driver, *others) if isinstance(p, SeeingPolicy) for size in p.cameras.values()}
+    if len(sizes) > 1:
+        raise PolicyError(f"policies side by side want pictures of sizes {sorted(sizes)}", where="cameras",
+                          mend="let only policies of one recipe ride together: deploy.shadow: false")
+    (height, width), = sizes
+    with Eyes(world.setup.xml, tuple(wanted), width=width, height=height) as eyes:
+        yield _Sighted(driver, world, eyes, looks)
+
+
+class _Sighted:
+    """A policy that is handed pictures; see with_eyes."""
+
+    def __init__(self, policy: Policy, world: World, eyes: Eyes, looks: Sequence[Look]) -> None:
+        self._policy, self._world, self._eyes, self._looks = policy, world, eyes, looks
+        self._half_m = np.array([scene.object_half_m for scene in world.scenes])
+
+    def reset(self, n: int) -> None:
+        """Prepare the policy for n attempts."""
+        self._policy.reset(n)
+
+    def act(self, observation: Observation, ids: Ids) -> Array:
+        """The policy's actions, given what the cameras see now."""
+        pictures = self._eyes.see(self._world.batch.state[ids], self._half_m[ids], [self._looks[i] for i in ids])
+        return self._policy.act(replace(observation, pictures=pictures), ids)
+
+    def memory(self, ids: Ids) -> Array:
+        """The policy's memory."""
+        return self._policy.memory(ids)
+
+
+def renderer_hash() -> str:
+    """Hash of the source files that decide which pixels a state and a look become."""
+    return source_hash(Path(file) for file in (__file__, appearance.__file__, rendering.__file__))
 
 
 def _with_texture(xml: str) -> Any:

@@ -74,13 +74,17 @@ NOMINAL = MappingProxyType({
     "tilt_x": 0.0, "tilt_y": 0.0, "bias_x": 0.0, "bias_y": 0.0, "noise": 0.0, "jitter": 0.0, "stiction": 0.0,
 })
 
+LOOK = "look_"
+"""How the names of draws begin that only change what is seen, see pipeline.simulation.appearance."""
+
 
 def from_draws(draws: Sequence[Sequence[Draw]]) -> Physics:
-    """Physics of n attempts from their draws; what is not drawn stays nominal."""
+    """Physics of n attempts from their draws; what is not drawn stays nominal, what is drawn of a look is no physics."""
     table = {name: np.full(len(draws), value) for name, value in NOMINAL.items()}
     for row, drawn in enumerate(draws):
         for draw in drawn:
-            table[draw.name][row] = draw.value
+            if not draw.name.startswith(LOOK):
+                table[draw.name][row] = draw.value
     return Physics(**table)
 
 
