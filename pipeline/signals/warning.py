@@ -15,8 +15,8 @@ WEIGHTS: MappingProxyType[str, float] = MappingProxyType({"distance": 4.0, "revi
 """Signal -> weight of the logarithm of its running mean. Fitted by `hardcase measure shadow` on twins 0-7."""
 BIAS = 0.0
 """Same fit: champions of generation 0 at the deployment mix, and of generation 1 where half of the starts are rare."""
-ALARM = 0.5
-"""Warning from which an attempt is more likely to fail than not."""
+ALARM, ALARM_TICKS = 0.5, 5
+"""Warning above which an attempt is more likely to fail than not, and ticks in a row until that is believed."""
 FLOOR = 1e-3
 """Least mean that is told from nothing."""
 

@@ -70,8 +70,8 @@ def pooled_auroc(runs: Sequence[Scored], rng: np.random.Generator, *, replicates
     for k, (bad, good) in enumerate(split):
         estimate[k] = _weighted(bad, good, np.ones((1, len(bad))), np.ones((1, len(good))))[0]
         found[k] = _weighted(bad, good, _draws(len(bad), replicates, rng), _draws(len(good), replicates, rng))
-    drawn = rng.integers(len(split), size=(len(split), replicates))
-    means = np.take_along_axis(found, drawn, axis=0).mean(axis=0)
+    drawn, which = (rng.integers(size, size=(len(split), replicates)) for size in (len(split), replicates))
+    means: Scores = found[drawn, which].mean(axis=0)
     low, high = np.quantile(means, [(1 - level) / 2, (1 + level) / 2])
     return Interval(float(estimate.mean()), float(low), float(high))
 
