@@ -14,6 +14,7 @@ from pipeline.shards import read_shard
 from pipeline.store import Store
 from pipeline.trace import Trace
 from pipeline.triggers import stratum_of
+from pipeline.worth.door import Worths
 from schemas.dataset import DatasetVersion
 from schemas.episode import VARIANTS, Episode
 from schemas.recipe import Recipe
@@ -100,7 +101,7 @@ class Material:
         return ancestors_of(self._store, episodes)
 
     def usable(self, episodes: Iterable[Episode]) -> list[Episode]:
-        """The episodes that passed their check and do not rest on a consent which has ended: those that may teach.
+        """Those of the episodes that may teach: they passed their check, hurt nothing, and their consent holds.
 
         Raises:
             ConsentError: a person in an episode never consented.
@@ -109,7 +110,7 @@ class Material:
         known = self.ancestors(chosen)
         standing = consents.standing(chosen, known)
         consents.check(standing, known)
-        return self.verdicts([*known, *standing]).passing(standing, known)
+        return self.worths().spared(self.verdicts([*known, *standing]).passing(standing, known), known)
 
     def consents(self) -> Consents:
         """The consent records as they are, for a use at this moment."""
@@ -119,6 +120,10 @@ class Material:
         """What the checks found of these episodes, and of a version."""
         subjects = [e.blob for e in episodes if e.blob] + ([version.digest] if version else [])
         return Verdicts(self._store.checks(dict.fromkeys(subjects)))
+
+    def worths(self) -> Worths:
+        """The batches that were judged to hurt."""
+        return Worths(self._store.hurting())
 
     def frames(self, episode: Episode) -> Frames:
         """The frames of an episode, from its recording or its shard."""

@@ -38,11 +38,6 @@ class Worths:
         held = set(version.episodes)
         return next((w for w in self.hurting if not held.isdisjoint(w.episodes)), None)
 
-    def told(self, out: Iterable[BatchWorth]) -> str:
-        """'2 batches hurt: 3f9a1c2b -4.1 points [...]': for a line of a stage."""
-        lines = [f"{w.says} ({w.id}): {w.reason}" for w in {w.id: w for w in out}.values()]
-        return "; ".join(lines)
-
 
 def _bad(episode: Episode, by_id: dict[str, Episode], bad: dict[str, BatchWorth]) -> BatchWorth | None:
     """The verdict on the episode or, for a variant, on one that its frames were made from."""
