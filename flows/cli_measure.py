@@ -18,3 +18,14 @@ def about() -> None:
 
     Example: hardcase measure --help
     """
+
+
+@measure.command()
+def shadow(seeds: Seeds = 8, recipe: RecipeName = "default", json: Json = None) -> None:
+    """What the signals of shadow mode know of a failure before it happens: AUROC by signal and window. 10 minutes.
+
+    Example: hardcase measure shadow --seeds 8 --json shadow.json
+    """
+    from flows.shadow_study import run_shadow_study
+
+    run_shadow_study(seeds=seeds, recipe=recipe, json=json)
