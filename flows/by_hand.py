@@ -18,10 +18,12 @@ def run_stage(
     recipe: str | None = None,
     seed: int | None = None,
     twin: int | None = None,
+    policy: str | None = None,
 ) -> dict[str, Any]:
     """Run one stage of the current generation of a run.
 
-    The run is the one named, the one that recipe, seed and twin say, or the newest of the store.
+    The run is the one named, the one that recipe, policy, seed and twin say, or the newest of the store; to train, the
+    newest that trains that policy.
 
     Returns:
         stage, generation, ids, says, resumed.
@@ -30,7 +32,7 @@ def run_stage(
         HardcaseError: no such run, or the stage refused.
     """
     order = _order(run, recipe, seed, twin)
-    with open_order(order, store_root()) as steps, _bar(stage) as bar:
+    with open_order(order, store_root()) as steps, stage_bar(stage) as bar:
         task = bar.add_task(stage, total=None)
 
         def progress(done: int, total: int) -> None:
@@ -47,8 +49,9 @@ def roll_back(*, run: str | None = None) -> dict[str, Any]:
         return _told("release", steps.current("release"), steps.rollback())
 
 
-def _order(run: str | None, recipe: str | None, seed: int | None, twin: int | None) -> Order:
-    if not any(option is not None for option in (recipe, seed, twin)):
+def _order(run: str | None, recipe: str | None, seed: int | None, twin: int | None,
+           policy: str | None = None) -> Order:
+    if not any(option is not None for option in (recipe, seed, twin, policy)):
         return recall(store_root(), run)
     if run is not None:
         raise ConfigError(
@@ -56,7 +59,7 @@ def _order(run: str | None, recipe: str | None, seed: int | None, twin: int | No
             where=f"--run {run}",
             mend="give either --run, or --recipe, --seed and --twin",
         )
-    return order_of(recipe, None, seed, twin)
+    return order_of(recipe, None, seed, twin, policy=policy)
 
 
 def _told(stage: str, generation: int, result: StepResult) -> dict[str, Any]:
@@ -69,7 +72,8 @@ def _told(stage: str, generation: int, result: StepResult) -> dict[str, Any]:
     }
 
 
-def _bar(stage: str) -> Progress:
+def stage_bar(stage: str) -> Progress:
+    """A bar on a terminal, nothing elsewhere."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)

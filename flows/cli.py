@@ -29,6 +29,7 @@ app.add_typer(recordings)  # without a name: its commands stand beside the other
 Recipe = Annotated[str | None, typer.Option(help="Recipe: a name in datasets/recipes, or a path. [default: default]")]
 Seed = Annotated[int | None, typer.Option(min=0, help="Seed of data and training. [default: 0]")]
 Twin = Annotated[int | None, typer.Option(min=0, help="Seed of the simulated real robot. [default: 100]")]
+Policy = Annotated[str | None, typer.Option(help="Kind of policy to train: chunked, or act. [default: the recipe's]")]
 Control = Annotated[bool, typer.Option("--control", help="Also turn the loop with random starts, for comparison.")]
 Run = Annotated[str | None, typer.Option(help="Id of a run that was begun before. [default: the newest]")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
@@ -80,6 +81,7 @@ def loop(
     seed: Seed = None,
     twin: Twin = None,
     recipe: Recipe = None,
+    policy: Policy = None,
     control: Control = False,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the newest run of this store.")] = False,
     json: Annotated[Path | None, typer.Option(help="Write the result to this file as JSON.")] = None,
@@ -94,13 +96,14 @@ def loop(
     from flows.opening import order_of, recall
     from pipeline.store import store_root
 
-    if resume and (control or any(option is not None for option in (generations, seed, twin, recipe))):
+    if resume and (control or any(option is not None for option in (generations, seed, twin, recipe, policy))):
         raise ConfigError(
             "--resume goes on with the newest run as it was ordered",
             where="hardcase loop",
             mend="leave the other options away; or leave --resume away: the same options find the same run",
         )
-    order = recall(store_root()) if resume else order_of(recipe, generations, seed, twin, control=control)
+    order = recall(store_root()) if resume else order_of(
+        recipe, generations, seed, twin, control=control, policy=policy)
 
     from flows.session import run_loop
 
@@ -112,12 +115,13 @@ def loop(
 
 
 def _stage(
-    name: str, run: str | None, recipe: str | None, seed: int | None, twin: int | None, *, as_json: bool
+    name: str, run: str | None, recipe: str | None, seed: int | None, twin: int | None, *, as_json: bool,
+    policy: str | None = None,
 ) -> None:
     """Run one stage of the current generation by hand: the same steps as the flow's, without Prefect."""
     from flows.by_hand import run_stage
 
-    _print(run_stage(name, run=run, recipe=recipe, seed=seed, twin=twin), as_json)
+    _print(run_stage(name, run=run, recipe=recipe, seed=seed, twin=twin, policy=policy), as_json)
 
 
 def _print(result: dict[str, Any], as_json: bool) -> None:
@@ -133,12 +137,13 @@ def _print(result: dict[str, Any], as_json: bool) -> None:
 
 
 @app.command()
-def collect(run: Run = None, recipe: Recipe = None, seed: Seed = None, twin: Twin = None, json: AsJson = False) -> None:
-    """Record scripted demonstrations; begins a new run when a recipe, seed or twin is given.
+def collect(run: Run = None, recipe: Recipe = None, policy: Policy = None, seed: Seed = None, twin: Twin = None,
+            json: AsJson = False) -> None:
+    """Record scripted demonstrations; begins a new run when a recipe, policy, seed or twin is given.
 
     Example: hardcase collect --recipe smoke --seed 1
     """
-    _stage("collect", run, recipe, seed, twin, as_json=json)
+    _stage("collect", run, recipe, seed, twin, as_json=json, policy=policy)
 
 
 @app.command()
@@ -160,12 +165,12 @@ def build(run: Run = None, json: AsJson = False) -> None:
 
 
 @app.command()
-def train(run: Run = None, json: AsJson = False) -> None:
-    """Train the candidate and export it to ONNX.
+def train(run: Run = None, policy: Policy = None, json: AsJson = False) -> None:
+    """Train the candidate and export it to ONNX; with --policy, that of the newest run which trains this kind.
 
-    Example: hardcase train
+    Example: hardcase train --policy act
     """
-    _stage("train", run, None, None, None, as_json=json)
+    _stage("train", run, None, None, None, as_json=json, policy=policy)
 
 
 @app.command()

@@ -51,6 +51,8 @@ class PolicyKind:
     """Opens the ONNX file, without PyTorch."""
     sources: tuple[str, ...]
     """Files of pipeline/ that decide what is learnt: the training code that a policy id hashes."""
+    sees: bool = False
+    """Whether it needs pictures."""
 
 
 def _load(folder: Path, consents: Consents) -> TrainingSource:
@@ -124,7 +126,7 @@ POLICIES: Mapping[str, PolicyKind] = MappingProxyType({
         "footage.py", "frames.py", "lerobot_view/frame_cache.py", "lerobot_view/frame_weights.py",
         "lerobot_view/samples.py", "lerobot_view/training_data.py", "policies/act_checkpoint.py",
         "policies/act_export.py", "policies/act_net.py", "policies/act_training.py", "policies/ensembling.py",
-        "policies/export.py", "policies/network.py", "policies/optimiser.py", "policies/training.py")),
+        "policies/export.py", "policies/network.py", "policies/optimiser.py", "policies/training.py"), sees=True),
 })
 
 
