@@ -11,20 +11,26 @@ from flows.cli_datasets import datasets
 from flows.cli_ingest import ingest
 from flows.cli_lineage import forget, why
 from flows.cli_measure import measure
+from flows.cli_nights import commands as nightly
+from flows.cli_redaction import redaction
 from flows.cli_selftest import selftest
 from flows.cli_teleop import teleop
+from flows.cli_worth import worth
 
 commands = typer.Typer()
 
 commands.add_typer(consent, name="consent")
 commands.add_typer(datasets)
 commands.add_typer(measure, name="measure")
+commands.add_typer(nightly)
+commands.add_typer(redaction, name="redaction")
 commands.command()(browse)
 commands.command()(teleop)
 commands.command()(ingest)
 commands.command()(why)
 commands.command()(forget)
 commands.command()(selftest)
+commands.command()(worth)
 
 
 @commands.command()

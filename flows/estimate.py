@@ -24,6 +24,17 @@ def turn_steps(arm: str, last: int) -> Iterator[Step]:
             yield Step(arm, generation, "harvest")
 
 
+def night_steps(generation: int) -> Iterator[Step]:
+    """The steps of one night: robot time first, so that each night learns from the champion of the one before."""
+    if generation == 0:
+        yield Step("loop", 0, "collect")
+    else:
+        yield Step("loop", generation - 1, "deploy")
+        yield Step("loop", generation - 1, "harvest")
+    for stage in ("augment", "build", "train", "gate", "release", "exam"):
+        yield Step("loop", generation, stage)
+
+
 def expected_s(step: Step, recipe: Recipe) -> float:
     """Seconds a step takes on two idle cores, from the counts of the recipe; docs/decisions/007 says how measured.
 

@@ -39,7 +39,7 @@ def closed_loop(
     Returns:
         Path of the report.
     """
-    with _opened(recipe, generations, seed, twin, control, store) as now:
+    with opened(recipe, generations, seed, twin, control, store) as now:
         steps, last = now.steps, now.steps.recipe.generations
         turn(last)
         if steps.control is not None:
@@ -97,7 +97,7 @@ def scheduled_day() -> int:
 
 
 @contextlib.contextmanager
-def _opened(
+def opened(
     recipe: str, generations: int | None, seed: int | None, twin: int, control: bool, store: str | None
 ) -> Iterator[Running]:
     """The stages that the command line already opened, or, under a worker, opened here from the parameters."""

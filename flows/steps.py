@@ -2,6 +2,7 @@
 
 from collections.abc import Generator
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 
 from flows import learning, summary
@@ -96,6 +97,10 @@ class Steps(ArmRun):
         """Generation at which `stage` runs next, or the last one where it is finished everywhere."""
         last = 0 if stage == "collect" else self.recipe.generations
         return next((g for g in range(last + 1) if self.store.step(self.run, g, stage) is None), last)
+
+    def tonight(self) -> int:
+        """The lap that a night turns: the first one that has not sat its exam."""
+        return next(g for g in count() if self.store.step(self.run, g, "exam") is None)
 
     def result(self) -> LoopResult:
         """The numbers so far."""

@@ -62,6 +62,13 @@ class LoopSteps(Protocol):
         """The same loop with random starts in place of the harvest, beside this one; None unless asked for."""
         ...
 
+    day: int | None
+    """Number of the day of a run by the clock, whose nights share an error budget; None by hand [d]."""
+
+    def tonight(self) -> int:
+        """The lap that a night turns: the first one that has not sat its exam."""
+        ...
+
     def current(self, stage: str) -> int:
         """Generation at which `stage` runs next, or the last one where it is finished everywhere."""
         ...

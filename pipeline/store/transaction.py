@@ -154,7 +154,8 @@ class Transaction:
         """Add what a night did with the error budget; its verdicts come in the same call or before."""
         for verdict in filter(None, (night.verdict, night.anchor_verdict)):
             self._require("verdict", verdict, f"night of generation {night.generation}")
-        self._insert("night", night, key=("run", "generation"), run=self._run, generation=night.generation, day=night.day)
+        self._insert("night", night, key=("run", "generation"), run=self._run, generation=night.generation,
+                     day=night.day)
 
     def add_hard_cases(self, cases: Iterable[HardCase]) -> None:
         """Add hard cases; a stored one without a correction takes one, and nothing else of it changes."""
