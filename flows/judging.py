@@ -4,7 +4,9 @@ from collections.abc import Sequence
 
 from flows.arm_run import ArmRun
 from pipeline.counterfactual.judging import Attempt
+from pipeline.counterfactual.ride import Restorable
 from pipeline.counterfactual.summary import Subject
+from pipeline.errors import PolicyError
 from schemas.counterfactual import JudgeConfig, ShadowReport
 from stages.judge import judge
 
@@ -18,8 +20,21 @@ def judged_at(run: ArmRun, generation: int, champion: str, candidate: str,
         ConsentError: somebody in an attempt did not consent to being learnt from.
     """
     attempts = run.material.deployed_attempts(generation)
-    return attempts, judge(attempts, run.policy(champion), run.policy(candidate), run.recipe,
+    return attempts, judge(attempts, restorable(run, champion), restorable(run, candidate), run.recipe,
                            subject=subject_of(run, generation, champion, candidate), config=config)
+
+
+def restorable(run: ArmRun, id: str) -> Restorable:
+    """A policy ready to go on from any moment.
+
+    Raises:
+        PolicyError: its kind cannot be put back to a moment.
+    """
+    policy = run.policy(id)
+    if not isinstance(policy, Restorable):
+        raise PolicyError(f"a policy of kind {run.store.policy(id).kind!r} cannot be put back to a moment",
+                          where=f"policy {id}", mend="judge policies of kind 'chunked'")
+    return policy
 
 
 def subject_of(run: ArmRun, generation: int, champion: str, candidate: str) -> Subject:

@@ -7,8 +7,8 @@ import numpy as np
 from pipeline.counterfactual.judging import Attempt, Named, gains_from_start
 from pipeline.counterfactual.judging import judge as judge_in
 from pipeline.counterfactual.moment import Lab
+from pipeline.counterfactual.ride import Restorable
 from pipeline.counterfactual.summary import FromStart, Subject, summarize
-from pipeline.policies.onnx_policy import OnnxPolicy
 from pipeline.twin.twin import draw_twin, twin_setup
 from schemas.counterfactual import JudgeConfig, ShadowReport
 from schemas.recipe import Recipe
@@ -17,7 +17,7 @@ FROM_START_DRAWS = 2
 """Draws of an attempt that is played from its first tick: more attempts say more than more draws of one."""
 
 
-def judge(attempts: Sequence[Attempt], champion: OnnxPolicy, candidate: OnnxPolicy, recipe: Recipe, *,
+def judge(attempts: Sequence[Attempt], champion: Restorable, candidate: Restorable, recipe: Recipe, *,
           subject: Subject, config: JudgeConfig) -> ShadowReport:
     """Judge recorded deployments of the champion against any candidate, whether or not it rode along.
 

@@ -3,8 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.protocols import Array, Ids, Observation, Policy
-from pipeline.simulation.rollout import rollout
+from pipeline.protocols import Array, Ids, Observation
 from pipeline.simulation.world import World
 from pipeline.triggers import TRIGGERS, family, fired, senses_of
 from schemas.recipe import HarvestConfig
@@ -43,9 +42,3 @@ class Ending:
         """The failure family of an attempt that did not succeed in truth."""
         index = int(self._trigger[attempt])
         return family(UNNOTICED if index < 0 else list(TRIGGERS)[index], self._phase[attempt])
-
-
-def at_work(world: World, policy: Policy, triggers: HarvestConfig) -> NDArray[np.bool_]:
-    """Let a policy work from the start of every attempt on; whether each succeeded in truth, shape (n,)."""
-    policy.reset(world.n)
-    return rollout(world, policy, watch=Ending(world, triggers).tick, until_success=False).success

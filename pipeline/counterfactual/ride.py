@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from pipeline.protocols import Array, Ids, Observation, Policy
 from pipeline.trace import Trace
 
 
+@runtime_checkable
 class Restorable(Policy, Protocol):
     """A policy whose memory can be put back."""
 
