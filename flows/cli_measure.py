@@ -29,3 +29,19 @@ def shadow(seeds: Seeds = 8, recipe: RecipeName = "default", json: Json = None) 
     from flows.shadow_study import run_shadow_study
 
     run_shadow_study(seeds=seeds, recipe=recipe, json=json)
+
+
+@measure.command()
+def counterfactual(
+    seeds: Seeds = 8, recipe: RecipeName = "default", json: Json = None,
+    pairs: Annotated[int, typer.Option(min=1, help="Pairs of policies a seed.")] = 3,
+    most: Annotated[int, typer.Option(min=1, help="Disagreements judged of a pair.")] = 40,
+    svg: Annotated[Path | None, typer.Option(help="Draw the scatter plot into this file.")] = None,
+) -> None:
+    """Change of success that judged disagreements foretell, against the change measured at the exam.
+
+    Example: hardcase measure counterfactual --seeds 8 --json calibration.json --svg calibration.svg
+    """
+    from flows.counterfactual_study import run_measure
+
+    run_measure(seeds=seeds, recipe=recipe, pairs=pairs, most=most, json=json, svg=svg)
