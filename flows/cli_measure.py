@@ -35,7 +35,7 @@ def shadow(seeds: Seeds = 8, recipe: RecipeName = "default", json: Json = None) 
 def counterfactual(
     seeds: Seeds = 8, recipe: RecipeName = "default", json: Json = None,
     pairs: Annotated[int, typer.Option(min=1, help="Pairs of policies a seed.")] = 3,
-    most: Annotated[int, typer.Option(min=1, help="Disagreements judged of a pair.")] = 40,
+    most: Annotated[int | None, typer.Option(min=1, help="Disagreements judged of a pair. [default: all]")] = None,
     svg: Annotated[Path | None, typer.Option(help="Draw the scatter plot into this file.")] = None,
 ) -> None:
     """Change of success that judged disagreements foretell, against the change measured at the exam.
@@ -45,3 +45,19 @@ def counterfactual(
     from flows.counterfactual_study import run_measure
 
     run_measure(seeds=seeds, recipe=recipe, pairs=pairs, most=most, json=json, svg=svg)
+
+
+@measure.command()
+def nights(
+    years: Annotated[int, typer.Option(min=1, help="Simulated years of each world.")] = 10_000,
+    tries: Annotated[int, typer.Option(min=1, help="Played nights of each true gain.")] = 10_000,
+    recipe: RecipeName = "nightly", json: Json = None,
+    svg: Annotated[Path | None, typer.Option(help="Draw both charts into this folder.")] = None,
+) -> None:
+    """False promotions in years of nights under the nightly gate, and its power beside STEP and a fixed design.
+
+    Example: hardcase measure nights --json nights.json --svg docs
+    """
+    from flows.nights_study import run_nights_study
+
+    run_nights_study(years=years, nights=tries, recipe=recipe, json=json, svg=svg)

@@ -43,7 +43,7 @@ class Pair:
     right: dict[str, int]
 
 
-def measure_counterfactual(*, seeds: int, recipe: str, pairs: int, most: int,
+def measure_counterfactual(*, seeds: int, recipe: str, pairs: int, most: int | None,
                            say: Callable[[str], None]) -> dict[str, Any]:
     """Judge `pairs` pairs of policies of every seed, and hold each against the exam, on the same fresh starts.
 
@@ -51,7 +51,7 @@ def measure_counterfactual(*, seeds: int, recipe: str, pairs: int, most: int,
         seeds: finished loops; the seed fixes the twin.
         recipe: name or path.
         pairs: drawn at random from deployed champions and all other policies of the seed's store, arms included.
-        most: disagreements judged of a pair, drawn at random.
+        most: disagreements judged of a pair, drawn at random; all where None.
         say: told a line after every pair.
     """
     found: list[Pair] = []
@@ -74,7 +74,7 @@ def pairs_of(steps: Steps, count: int) -> list[tuple[int, str]]:
     return [every[k] for k in sorted(rng.choice(len(every), min(count, len(every)), replace=False).tolist())]
 
 
-def _pair(steps: Steps, seed: int, generation: int, candidate: str, most: int) -> Pair:
+def _pair(steps: Steps, seed: int, generation: int, candidate: str, most: int | None) -> Pair:
     champion = str(steps.store.episode(steps.material.ids(generation, "deploy")[0]).policy)
     report = judged_at(steps, generation, champion, candidate, JudgeConfig(most=most))[1]
     row, was = report.rows[0], measured(steps, champion, candidate)
@@ -160,7 +160,7 @@ def draw(found: dict[str, Any], path: Path) -> None:
         stream.write(alone(chart, title).encode())
 
 
-def run_measure(*, seeds: int, recipe: str, pairs: int, most: int, json: Path | None, svg: Path | None) -> None:
+def run_measure(*, seeds: int, recipe: str, pairs: int, most: int | None, json: Path | None, svg: Path | None) -> None:
     """Measure, print, and leave the files that were asked for."""
     from flows.measured import write_json
 
