@@ -56,7 +56,7 @@ def footage_of(store: Store, recipe: Recipe, rendered: "_Rendered | None" = None
 @contextmanager
 def filming(store: Store, recipe: Recipe, frames: Callable[[Episode], Frames],
             episodes: Sequence[Episode]) -> Generator[FootageOf | None]:
-    """`footage_of` with a renderer: recordings are shown from the states they hold, variants from those of their replay.
+    """`footage_of` with a renderer: recordings are shown by the states they hold, variants by those of their replay.
 
     Args:
         store: where the episodes are kept.

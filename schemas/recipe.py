@@ -44,8 +44,8 @@ class AugmentConfig(Frozen):
         default=30, ge=0, description="variants near the start of every new episode that succeeded, in later laps")
     widen: float = Field(default=1.0, gt=0, le=5, description="factor on every range; above 1 the filter has work")
     keep_rejected: bool = Field(default=False, description="control arm: failed variants are left in")
-    appearance: bool = Field(default=False, exclude_if=_off, description="cameras see each variant in light, on a table "
-                                                                         "and from a place of its own")
+    appearance: bool = Field(default=False, exclude_if=_off, description="cameras see each variant in light, on a "
+                                                                          "table and from a place of its own")
 
 
 class CameraConfig(Frozen):

@@ -92,7 +92,7 @@ def remake(variant: Episode, parent: Parent, *, threads: int = 1) -> Frames:
 
 
 def replayed(variants: Sequence[tuple[Episode, Parent]], *, threads: int = 1) -> dict[str, Array]:
-    """Play variants again and keep what no shard holds: id -> simulator states, mjSTATE_INTEGRATION rows, one a frame."""
+    """Play variants again for what no shard holds: id -> mjSTATE_INTEGRATION rows, one a frame."""
     again = [_Variant(variant, *parent) for variant, parent in variants]
     return {v.episode.id: trace.sim_state for v, (trace, *_) in zip(again, _traced(again, threads), strict=True)}
 

@@ -28,10 +28,11 @@ def write_act(folder: Path, fitted: FittedAct, config: TrainConfig) -> None:
     policy: Any = load(whole(fitted.shape, config.learning_rate), widened(fitted.weights, fitted.shape))
     s = fitted.scales
     pixels = (tensor(v[:, None, None] / BYTE) for v in (s.pixel_mean, s.pixel_std))
-    statistics = {name: dict(zip(("mean", "std"), pair, strict=True)) for name, pair in (
+    statistics: Any = {name: {"mean": mean, "std": std} for name, (mean, std) in (
         (fitted.shape.feature, pixels), ("observation.state", (tensor(s.state_mean), tensor(s.state_std))),
         ("action", (tensor(s.action_mean), tensor(s.action_std))))}
     folder.mkdir(parents=True, exist_ok=True)
     policy.save_pretrained(folder)
+    processor: Any
     for processor in make_act_pre_post_processors(policy.config, statistics):
         processor.save_pretrained(folder)

@@ -2,8 +2,8 @@
 
 Inputs `state` (n, 16) and `pictures` (n, 3, height, width) in [0, 255] are observations as they are, output `chunk`
 (n, chunk, 5) is in the units of pipeline.frames.ACTION. The narrow backbone is exported, not the ResNet18 that the
-checkpoint has room for. What does not depend on the observation is worked out here: the latent token is a bias, and what
-the decoder says to itself before it looks at anything is a constant (its input is 0 in lerobot's ACT).
+checkpoint has room for. What does not depend on the observation is worked out here: the latent token is a bias, and
+what the decoder says to itself before it looks at anything is a constant (its input is 0 in lerobot's ACT).
 """
 
 from pathlib import Path
@@ -86,7 +86,8 @@ def _backbone(graph: _Graph) -> str:
 
     def convolve(value: str, conv: str, norm: str, output: str, stride: int) -> str:
         w = graph.weight(f"backbone.{conv}.weight")
-        scale = graph.weight(f"backbone.{norm}.weight") / np.sqrt(graph.weight(f"backbone.{norm}.running_var") + FROZEN_EPS)
+        scale = graph.weight(f"backbone.{norm}.weight")
+        scale = scale / np.sqrt(graph.weight(f"backbone.{norm}.running_var") + FROZEN_EPS)
         shift = graph.weight(f"backbone.{norm}.bias") - graph.weight(f"backbone.{norm}.running_mean") * scale
         size = w.shape[2]
         return graph.add("Conv", (value, graph.constant(f"{output}.weight", w * scale[:, None, None, None]),

@@ -90,7 +90,8 @@ def narrow(shape: ActShape) -> ACTPolicy:
         if isinstance(part, nn.Conv2d):
             _put(model.backbone, name, _convolution(part, shape.shrink))
         elif isinstance(part, FrozenBatchNorm2d):
-            _put(model.backbone, name, FrozenBatchNorm2d(part.weight.numel() // shape.shrink))
+            kept: Any = part.weight
+            _put(model.backbone, name, FrozenBatchNorm2d(len(kept) // shape.shrink))
     model.encoder_img_feat_input_proj = nn.Conv2d(CHANNELS // shape.shrink, shape.dim, 1)
     return policy
 

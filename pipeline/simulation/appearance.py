@@ -53,10 +53,12 @@ LOOKS: Mapping[str, Trait] = MappingProxyType({
     "look_camera_tilt": _around("rad", 0.012),
     "look_camera_roll": _around("rad", 0.012),
 })
-"""Name of a draw -> what it is. Light: factor on all lamps, warmth (red up and blue down by this share), place of the
-lamp. Table: factor on its colour, shifts of red and blue, contrast of a texture, its grain from coarse to fine, and
-the number of its pattern. Shift of the colours of cube and mark. Camera: how far it is moved along and turned about its own axes (right, up, towards the
-scene's back).
+"""Name of a draw -> how it is drawn.
+
+Light: factor on all lamps, warmth (red up and blue down by this share), place of the lamp. Table: factor on its colour,
+shifts of red and blue, contrast of a texture, its grain from coarse to fine, and the number of its pattern. Shift of
+the colours of cube and mark. Camera: how far it is moved right, up and back, and turned left, up and about its line of
+sight.
 
 Add one: an entry here, and what it does in pipeline/simulation/eyes.py."""
 

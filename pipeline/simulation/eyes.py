@@ -75,7 +75,8 @@ class Eyes:
         """Free the GL context."""
         self._film.close()
 
-    def see(self, states: NDArray[np.float64], half_m: NDArray[np.float64], looks: Sequence[Look]) -> dict[str, Pictures]:
+    def see(self, states: NDArray[np.float64], half_m: NDArray[np.float64],
+            looks: Sequence[Look]) -> dict[str, Pictures]:
         """What every camera sees of k states.
 
         Args:
@@ -100,7 +101,7 @@ class Eyes:
         model.light_diffuse[:] = self._lamps * tint
         model.light_pos[0, :2] = look["look_lamp_x"], look["look_lamp_y"]
         table = look["look_table"] * self._colours[self._table, :3]
-        table = table + [look["look_table_red"], 0.0, look["look_table_blue"]]
+        table = table + np.array([look["look_table_red"], 0.0, look["look_table_blue"]])
         model.geom_rgba[self._table, :3] = np.clip(table, 0, 1)
         shift = look["look_object"] * np.array([1.0, -0.5, 1.0])
         for geom in (self._cube, self._mark):
@@ -147,19 +148,16 @@ def with_eyes(driver: Policy, world: World, looks: Sequence[Look], *others: Poli
         ConfigError: the scene has no such camera.
         SimulationError: nothing can render here.
     """
-    wanted: dict[str, tuple[int, int]] = {}
-    for policy in (driver, *others):
-        for camera, size in policy.cameras.items() if isinstance(policy, SeeingPolicy) else ():
-            wanted[camera] = size
+    wanted = [asked for p in (driver, *others) if isinstance(p, SeeingPolicy) for asked in p.cameras.items()]
     if not wanted:
         yield driver
         return
-    sizes = {size for p in (driver, *others) if isinstance(p, SeeingPolicy) for size in p.cameras.values()}
+    sizes = {size for _, size in wanted}
     if len(sizes) > 1:
         raise PolicyError(f"policies side by side want pictures of sizes {sorted(sizes)}", where="cameras",
                           mend="let only policies of one recipe ride together: deploy.shadow: false")
     (height, width), = sizes
-    with Eyes(world.setup.xml, tuple(wanted), width=width, height=height) as eyes:
+    with Eyes(world.setup.xml, tuple(dict(wanted)), width=width, height=height) as eyes:
         yield _Sighted(driver, world, eyes, looks)
 
 

@@ -79,7 +79,7 @@ LOOK = "look_"
 
 
 def from_draws(draws: Sequence[Sequence[Draw]]) -> Physics:
-    """Physics of n attempts from their draws; what is not drawn stays nominal, what is drawn of a look is no physics."""
+    """Physics of n attempts from their draws; what is not drawn stays nominal, draws of a look are no physics."""
     table = {name: np.full(len(draws), value) for name, value in NOMINAL.items()}
     for row, drawn in enumerate(draws):
         for draw in drawn:
