@@ -80,8 +80,8 @@ def test_a_tick_of_150_attempts_in_simulation(file):
             wall, cpu = np.median(walls, axis=0), np.median(cpus, axis=0)
             memory = [pss_mb(pid) for pid in riders.pids().values()]
             assert set(riders.states().values()) == {"running"}
-        print(f"\n{count} candidates: {wall[0]:.2f} ms of wall time a tick, in one process {wall[1]:.2f} ms; the loop's own "
-              f"CPU time {cpu[0]:.2f} ms, in one process {cpu[1]:.2f} ms; {np.mean(memory):.0f} MB a candidate")
+        print(f"\n{count} candidates: {wall[0]:.2f} ms of wall time a tick, in one process {wall[1]:.2f} ms; of the "
+              f"loop's CPU time {cpu[0]:.2f} ms, in one process {cpu[1]:.2f} ms; {np.mean(memory):.0f} MB a candidate")
         assert max(memory) < 100, "four candidates must leave a loop of 1.1 GB below 1.5 GB"
         assert TICKS * (wall[0] - wall[1]) < 3000, "a lap must not take seconds more than it did [ms]"
 

@@ -1,3 +1,4 @@
+import json
 from pathlib import Path
 
 import pytest
@@ -76,3 +77,17 @@ def test_code_in_yaml_is_refused(tmp_path):
 
 def test_several_faults_are_counted(tmp_path):
     assert refusal(write(tmp_path, "train: {steps: 0, batch: 0}")).what.endswith("(and 1 more)")
+
+
+def test_asking_for_more_riders_is_another_run_and_not_asking_is_the_same_run_as_ever():
+    recipe = load_recipe("default")
+    deploy = json.loads(recipe.model_dump_json())["deploy"]
+    assert (recipe.deploy.riders, "riders" in deploy) == (1, False), "runs are found again by this JSON"
+    more = recipe.model_copy(update={"deploy": recipe.deploy.model_copy(update={"riders": 3})})
+    assert json.loads(more.model_dump_json())["deploy"] == deploy | {"riders": 3}
+
+
+@pytest.mark.parametrize("riders", [0, 17])
+def test_a_number_of_riders_that_cannot_be_is_refused_in_one_line(tmp_path, riders):
+    error = refusal(write(tmp_path, f"deploy: {{riders: {riders}}}"))
+    assert "deploy.riders" in error.what and error.mend

@@ -71,9 +71,10 @@ class Candidate:
             except OSError as error:  # no memory, or no process left
                 self._end("crashed", f"it could not be started: {error.strerror}")
 
-    @property
-    def state(self) -> str:
-        """The word, and why."""
+    def state(self, *, wait: bool = False) -> str:
+        """The word, and why; of one that is ending it is known once its process is gone, which may be waited for."""
+        if wait and self._ending_s is not None:
+            self._closed(wait=True)
         return f"{self.word}: {why}" if (why := self._why or self._counts()) else self.word
 
     @property
@@ -182,14 +183,14 @@ class Candidate:
             if now_s - oldest.asked_s > self._limits.answer_s:
                 self._end("hung", f"no answer within {self._limits.answer_s:g} s")
 
-    def _closed(self) -> None:
+    def _closed(self, *, wait: bool = False) -> None:
         """Its socket is closed: say how it ended, once that is known."""
         now = time.monotonic()
         self._ending_s = self._ending_s or now
         process = self._process
         if process is None or self.word in OVER:
             return
-        if self._patient:
+        if self._patient or wait:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(ENDING_S)
         if (code := process.poll()) is not None:

@@ -19,9 +19,9 @@ LOOK_S = 0.25
 class Riders:
     """Candidates in the champion's shadow: they see what it sees, and nothing that they do reaches robot or champion.
 
-    No method but `ready` and a patient `answers` waits, and none raises because of a candidate: one that is refused,
-    crashes or hangs is silent from then on, one that is late or answers NaN is silent for that tick, and `states`
-    says why. All methods are called in one thread, the one that made it: the kernel ends the candidates with it.
+    No method but `ready`, `states`, `close` and a patient `answers` waits, and none raises because of a candidate: one
+    that is refused, crashes or hangs is silent from then on, one that is late or answers NaN is silent for that tick,
+    and `states` says why. All methods are called in the thread that made it: the kernel ends the candidates with it.
 
     Args:
         candidates: id of a policy -> its ONNX file; their order is kept.
@@ -34,7 +34,13 @@ class Riders:
         limits = limits or Limits()
         self._patient, self._epoch, self._attempts, self._number = patient, 0, 0, 0
         self._told: dict[str, str] = dict.fromkeys(candidates, "running")
-        self._all = [Candidate(id, file, limits, patient=patient) for id, file in candidates.items()]
+        self._all: list[Candidate] = []
+        try:
+            for id, file in candidates.items():
+                self._all.append(Candidate(id, file, limits, patient=patient))
+        except BaseException:
+            self.close()
+            raise
 
     @property
     def ids(self) -> tuple[str, ...]:
@@ -73,8 +79,11 @@ class Riders:
         return {candidate.id: candidate.settle() for candidate in self._all}
 
     def states(self) -> Mapping[str, str]:
-        """Candidate -> what became of it: running, late, broken, slow, hung, crashed or refused, and why."""
-        return {candidate.id: candidate.state for candidate in self._all}
+        """Candidate -> what became of it: running, late, broken, slow, hung, crashed or refused, and why.
+
+        For after the work: it waits a moment for one that is just ending, to say how.
+        """
+        return {candidate.id: candidate.state(wait=True) for candidate in self._all}
 
     def fences(self) -> Mapping[str, str]:
         """Candidate -> what its process gave up, as it said when it was ready."""
@@ -90,7 +99,7 @@ class Riders:
             told = self._told[candidate.id]
             if candidate.word not in ("starting", "running", told) and (candidate.word in OVER or told == "running"):
                 self._told[candidate.id] = candidate.word
-                found.append((candidate.id, candidate.state))
+                found.append((candidate.id, candidate.state()))
         return found
 
     def pids(self) -> Mapping[str, int]:

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.shadow import fence
+from pipeline.shadow.riders import Riders
 
 pytestmark = pytest.mark.xdist_group("shadow")
 ENV = os.environ | {"PYTHONPATH": str(Path.cwd()), "OMP_NUM_THREADS": "1"}
@@ -90,17 +91,15 @@ def test_behind_the_fence_nothing_is_opened_started_or_signalled(tmp_path):
     here.write_text("kept")
     told = subprocess.run([sys.executable, "-c", FENCED, str(here)], env=ENV, text=True, capture_output=True,
                           timeout=60, check=False)
-    refused, full = "Operation not permitted", "Too many open files"
+    refused = "Operation not permitted"
     assert told.stdout.splitlines() == [
         "read done", f"write {refused}", f"create {refused}", "fences True True", f"read again {refused}",
         f"socket {refused}", f"pipe {refused}", f"kill {refused}", f"fork {refused}", f"run {refused}",
         f"remove {refused}"], told.stderr
-    assert here.read_text() == "kept" and full not in told.stdout
+    assert here.read_text() == "kept"
 
 
 def test_a_candidate_has_no_rights_gives_way_and_its_threads_do_too(files):
-    from pipeline.shadow.riders import Riders
-
     for patient, nice, idle in ((True, 10, False), (False, 19, True)):
         with Riders({"a": files["good"]}, patient=patient) as riders:
             riders.ready()
