@@ -14,6 +14,7 @@ from flows.cli_measure import measure
 from flows.cli_nights import commands as nightly
 from flows.cli_redaction import redaction
 from flows.cli_selftest import selftest
+from flows.cli_shadow import judge
 from flows.cli_teleop import teleop
 from flows.cli_worth import worth
 
@@ -30,6 +31,7 @@ commands.command()(ingest)
 commands.command()(why)
 commands.command()(forget)
 commands.command()(selftest)
+commands.command()(judge)
 commands.command()(worth)
 
 
@@ -71,6 +73,10 @@ def record(
     seconds: Annotated[float, typer.Option(min=0.1, help="How long to record.")] = 10.0,
     until_success: Annotated[bool, typer.Option("--until-success", help="End as soon as the task is done.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Which start.")] = 0,
+    stratum: Annotated[str | None, typer.Option(help="Kind of start. [default: common]")] = None,
+    ring: Annotated[
+        bool, typer.Option("--ring", help="Full rate 10 s before and 5 s after a trigger, one tick in 10 elsewhere.")
+    ] = False,
     json: Annotated[bool, typer.Option("--json", help="Print JSON for machines.")] = False,
 ) -> None:
     """Record a simulated robot at work, in real time; made to be tried, killed, recovered and looked at.
@@ -83,7 +89,7 @@ def record(
 
     order = RecordOrder(path=out, robot=robot, policy=policy, shadows=tuple(shadow or ()),
                         cameras=tuple(camera or ()), size=picture_size(size), seconds=seconds,
-                        until_success=until_success, seed=seed)
+                        until_success=until_success, seed=seed, stratum=stratum, ring=ring)
     if run_record(order, store_root(), as_json=json):
         raise typer.Exit(INTERRUPTED)
 

@@ -24,6 +24,7 @@ from pipeline.store.origins import tell_check, tell_consent, tell_conversion, te
 from pipeline.store.reader import Reader
 from pipeline.store.records import RunInfo
 from pipeline.store.tree import Lineage, Used, render, to_json
+from schemas.edits import line
 from schemas.episode import Episode
 
 __all__ = ["render", "to_json", "why"]
@@ -98,6 +99,7 @@ def _version(store: Reader, id: str, full: bool, role: str = "") -> Lineage:
         "weights": ", ".join(f"{name} {share:g}" for name, share in v.weights.items()),
         "inputs": some([b if full else b[:12] for b in v.inputs], full),
         "folder": v.path, **made(store, "version", id), **({"parent": v.parent} if v.parent else {}),
+        **({"edits": "; ".join(map(line, v.edits))} if v.edits else {}),
         **checked(store, v.digest), **worth_of(store, v.episodes), **lost(store, id, "incomplete"),
     }  # fmt: skip
     groups = [_group(store, origin, members, full) for origin, members in by_origin.items()]
@@ -165,6 +167,10 @@ def _hard_case_line(store: Reader, id: str, role: str = "hard case") -> Lineage:
         "trigger": f"{c.trigger} at tick {c.tick}", "family": c.family, "stratum": c.stratum,
         "correction": f"{c.correction} ({'succeeded' if c.corrected else 'failed'})" if c.correction else "none",
     }  # fmt: skip
+    if c.judgement is not None:
+        sides = (("champion", c.judgement.champion), ("candidate", c.judgement.candidate))
+        facts |= {"wrong": f"{c.wrong}"} | {name: f"{s.policy}, {s.success.successes} of {s.success.n} draws succeeded"
+                                            for name, s in sides}
     return Lineage(kind="hard_case", id=id, role=role, facts=facts | made(store, "hard_case", id))
 
 
@@ -173,6 +179,8 @@ def _hard_case(store: Reader, id: str, full: bool) -> Lineage:
     children = [_episode(store, c.episode, full, "attempt")]
     if c.correction:
         children.append(_episode(store, c.correction, full, "correction"))
+    if c.judgement is not None:
+        children.append(_policy(store, c.judgement.candidate.policy, full).model_copy(update={"role": "candidate"}))
     return node.model_copy(update={"children": tuple(children)})
 
 
