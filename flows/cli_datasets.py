@@ -65,20 +65,23 @@ def derive(
         help="EPISODE=success, failure or unknown; may be given again.")] = None,
     reweight: Annotated[list[str] | None, typer.Option(
         help="EPISODE=FACTOR or QUERY=FACTOR: drawn so many times as often; may be given again.")] = None,
+    redact: Annotated[Path | None, typer.Option(
+        help="YAML map of the fields, regions and cameras that are hidden, faces too; docs/redaction.md.")] = None,
     json: AsJson = False,
 ) -> None:
-    """Derive a version from another; it shares with it what does not change, and nothing is encoded again.
+    """Derive a version from another; it shares with it what does not change, and only redacted videos are encoded.
 
     Example: hardcase derive 3f9ac812 --keep-where "outcome == success and family != slip" --trim 0fd4a1b2:10:80
     """
     from flows.deriving import Order, derive_version
+    from flows.redacting import summary
     from schemas.edits import line
 
-    order = Order(version, add or [], drop or [], keep_where, trim or [], relabel or [], reweight or [])
+    order = Order(version, add or [], drop or [], keep_where, trim or [], relabel or [], reweight or [], redact)
     made = derive_version(order)
     typer.echo(made.model_dump_json() if json else "\n".join(
         [f"{made.id}: {len(made.episodes)} episodes, {made.frames} frames, from {made.parent}",
-         *(f"  {line(edit)}" for edit in made.edits)]))
+         *(f"  {line(edit)}" for edit in made.edits), *([f"  {told}"] if (told := summary(made)) else [])]))
 
 
 @datasets.command()

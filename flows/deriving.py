@@ -10,6 +10,7 @@ from pydantic import ValidationError
 
 from flows.consents import consents_now
 from flows.material import ancestors_of
+from flows.redacting import load_map
 from pipeline.check.door import Verdicts
 from pipeline.errors import ConfigError, StoreError
 from pipeline.lerobot_view.manifest import read_manifest
@@ -17,7 +18,7 @@ from pipeline.lerobot_view.opened import FIELDS, Opened, open_version
 from pipeline.query import parse
 from pipeline.store import Store, store_root
 from schemas.dataset import DatasetVersion
-from schemas.edits import Add, Drop, Edit, Relabel, Reweight, Trim
+from schemas.edits import Add, Drop, Edit, Redact, Relabel, Reweight, Trim
 from schemas.episode import Episode
 from schemas.finding import CheckVerdict
 from stages.derive import derive
@@ -40,13 +41,15 @@ class Order:
     """EPISODE=OUTCOME."""
     reweight: Sequence[str] = field(default_factory=list[str])
     """EPISODE=FACTOR, QUERY=FACTOR."""
+    redact: Path | None = None
+    """File of a redaction map."""
 
 
 def derive_version(order: Order, root: Path | None = None) -> DatasetVersion:
     """Derive the version and note it; one that is there already is found again.
 
     Args:
-        order: the edits, applied in the order add, drop, keep, trim, relabel, reweight.
+        order: the edits, applied in the order add, drop, keep, trim, relabel, reweight, redact.
         root: the store; the one of HARDCASE_STORE by default.
 
     Raises:
@@ -114,9 +117,11 @@ def edits_of(order: Order, parent: Opened, others: dict[str, DatasetVersion], st
         edits.append(_made(Relabel, f"--relabel {text}", outcome=outcome,
                            episode=_episode(parent, name, f"--relabel {text}", others)))
     edits += [_reweighed(text, parent, others) for text in order.reweight]
+    edits += [Redact(map=load_map(order.redact))] if order.redact is not None else []
     if not edits:
         raise ConfigError("nothing is to change", where=f"hardcase derive {order.version}",
-                          mend="give one or more of --add, --drop, --keep-where, --trim, --relabel, --reweight")
+                          mend="give one or more of --add, --drop, --keep-where, --trim, --relabel, --reweight, "
+                               "--redact")
     return edits
 
 

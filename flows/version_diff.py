@@ -109,6 +109,8 @@ def _changes(of: Mapping[str, list[object]]) -> str:
     for what, (first, second) in of.items():
         if what == "rows":
             told.append(f"values of {first}")
+        elif what == "pictures":
+            told.append(f"pictures of {first}")
         elif what == "segments":
             told.append("segments")
         elif isinstance(first, float) and isinstance(second, float):

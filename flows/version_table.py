@@ -15,6 +15,7 @@ from pipeline.arrow import read_parquet
 from pipeline.lerobot_view.layout import EPISODES, INFO
 from pipeline.lerobot_view.opened import FIELDS, open_version
 from pipeline.query import Fields, parse
+from pipeline.redaction.statement import STATEMENT
 from pipeline.store import Store, store_root
 from schemas.dataset import DatasetVersion
 from schemas.edits import Add, line
@@ -51,7 +52,7 @@ def _told(store: Store, version: DatasetVersion, files: Mapping[int, int],
         "id": version.id, "recipe": version.recipe, "generation": version.generation, "folder": str(folder),
         "episodes": len(version.episodes), "frames": version.frames, "held_out": len(version.held_out),
         "own_bytes": own, "shared_bytes": sum(files.values()) - own, "parents": _parents(version),
-        "edits": [line(e) for e in version.edits], "erased": len(version.erased), "weights": version.weights}
+        "edits": [line(e) for e in version.edits], "redacted": (folder / STATEMENT).is_file(), "erased": len(version.erased), "weights": version.weights}
     if not (folder / EPISODES).is_file():
         return {**told, "sources": {}, "success": None, "cameras": [], "missing": True}
     table = read_parquet(folder / EPISODES, ["source", "outcome"])
@@ -94,6 +95,7 @@ def render(rows: Sequence[Mapping[str, Any]]) -> str:
             sources = "its folder is missing"
         elif row["erased"]:
             sources += f"; incomplete: erased ({row['erased']} episodes)"
+        sources += "; redacted, signed" * row["redacted"]
         table.add_row(row["id"], ", ".join(p[:8] for p in row["parents"]) or row["recipe"], str(row["episodes"]),
                       str(row["frames"]), "-" if row["success"] is None else f"{row['success']:.3f}",
                       f"{row['own_bytes'] / MB:.2f}", f"{row['shared_bytes'] / MB:.2f}", cameras, sources)

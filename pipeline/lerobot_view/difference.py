@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrow import pa, to_rows
+from pipeline.lerobot_view.filmed import clips_in
 from pipeline.lerobot_view.layout import BOOKKEEPING, STATS, data_file
 from pipeline.lerobot_view.opened import Opened
 
@@ -26,7 +27,7 @@ class Difference:
     """Episodes that only the second has."""
     changed: Mapping[str, Mapping[str, tuple[object, object]]]
     """Episode that both have -> what differs -> (first, second); `frames` counts them, `rows` names features whose
-    values differ, `weight` is the chance that a sample comes from it."""
+    values differ, `pictures` cameras that show others, `weight` is the chance that a sample comes from it."""
     moved: int
     """Episodes that both have, at another episode_index."""
     features: Mapping[str, tuple[object, object]]
@@ -64,6 +65,8 @@ def _changed(first: Opened, second: Opened, both: list[str], here: Mapping[str, 
     weights = first.asked("weight"), second.asked("weight")
     shared = {n for n in set(map(int, first.files)) & set(map(int, second.files)) if _same_file(first, second, n)}
     found: dict[str, dict[str, tuple[object, object]]] = {}
+    films = [{key: clip.key for key, clip in clips_in(o.folder).items()} for o in (first, second)]
+    cameras = sorted({camera for of in films for _, camera in of})
     for id in both:
         j, k = here[id], there[id]
         of: dict[str, tuple[object, object]] = {
@@ -75,6 +78,9 @@ def _changed(first: Opened, second: Opened, both: list[str], here: Mapping[str, 
         elif not (j == k and int(first.files[j]) == int(second.files[k]) in shared) and (
                 names := _rows_differ(first, second, j, k)):
             of["rows"] = ", ".join(names), ", ".join(names)
+        if first.lengths[j] == second.lengths[k] and (
+                seen := [c for c in cameras if len({f[id, c] for f in films if (id, c) in f}) > 1]):
+            of["pictures"] = ", ".join(seen), ", ".join(seen)
         if of:
             found[id] = of
     return found

@@ -5,7 +5,7 @@ A version never changes otherwise. Its id stays, because policies were trained o
 
 import json
 import shutil
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -39,7 +39,15 @@ class Loss:
     """Hash of a file that is written anew without the episodes -> its hash from now on."""
 
 
-def erase(folder: Path, loss: Loss, aside: Path) -> DatasetVersion:
+type Resign = Callable[[Path, Mapping[str, str], Mapping[str, Any], Path], None]
+"""Writes what a version says under a signature anew: new folder, known digests, manifest, old folder."""
+
+
+def _unsigned(*_: object) -> None:
+    """Nothing was signed."""
+
+
+def erase(folder: Path, loss: Loss, aside: Path, resign: Resign = _unsigned) -> DatasetVersion:
     """Take episodes out of a version, or find that they are out; a killed call is finished by the next.
 
     The new folder is built aside from what the old one holds and then takes its name. Data files before the first
@@ -49,6 +57,7 @@ def erase(folder: Path, loss: Loss, aside: Path) -> DatasetVersion:
         folder: the version.
         loss: what goes.
         aside: a folder for unfinished things, on the same file system; this call alone uses it.
+        resign: called when the new folder is whole but for its manifest.
 
     Returns:
         The version as it is now, its digest taken from the bytes.
@@ -63,7 +72,7 @@ def erase(folder: Path, loss: Loss, aside: Path) -> DatasetVersion:
     version = load_version(folder)
     if not loss.episodes.isdisjoint(version.episodes):
         aside.mkdir(parents=True, exist_ok=True)
-        _write(new, _with_hashes(open_version(folder, version), loss), loss)
+        _write(new, _with_hashes(open_version(folder, version), loss), loss, resign)
         folder.rename(old)
         new.rename(folder)
         sync_folder(folder.parent)
@@ -99,7 +108,7 @@ def _with_hashes(opened: Opened, loss: Loss) -> Opened:
     return replace(opened, episodes=table.set_column(place, "blob", texts(blobs))) if place >= 0 else opened
 
 
-def _write(new: Path, opened: Opened, loss: Loss) -> None:
+def _write(new: Path, opened: Opened, loss: Loss, resign: Resign) -> None:
     draft = Draft.of(opened)
     draft = draft.kept(np.array([id not in loss.episodes for id in draft.ids], np.bool_))
     if "train" not in draft.gathered("split"):  # nothing that is left could teach anything
@@ -113,7 +122,9 @@ def _write(new: Path, opened: Opened, loss: Loss) -> None:
     kept = {clip.sha256 for many in clips.values() for clip in many}
     gone = {sha for name, sha in opened.hashes.items() if name.startswith("videos/")} - kept
     wider = Loss(loss.episodes, loss.hashes | gone, loss.moved)
-    write_derived(new, made, _content(opened, made, wider), aside=new.parent, clips=clips)
+    content = _content(opened, made, wider)
+    write_derived(new, made, content, aside=new.parent, clips=clips,
+                  last=lambda part, known: resign(part, known, content, opened.folder))
 
 
 def _content(opened: Opened, made: Plan | None, loss: Loss) -> dict[str, object]:

@@ -1,6 +1,7 @@
 """Which parts of which frames are hidden for the faces that were found: with a margin, and over neighbouring frames."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 from pipeline.redaction.regions import Box
 from schemas.redaction import Faces
@@ -19,7 +20,7 @@ def covered(found: Sequence[Sequence[Box]], faces: Faces) -> list[list[Box]]:
     for k in hits:
         for near in range(max(0, k - faces.carry), min(len(wide), k + faces.carry + 1)):
             hidden[near] += wide[k]
-    for a, b in zip(hits, hits[1:], strict=False):
+    for a, b in pairwise(hits):
         if 1 < b - a <= faces.carry:
             way = [_around(one, _nearest(one, wide[b])) for one in wide[a]]
             way += [_around(one, _nearest(one, wide[a])) for one in wide[b]]

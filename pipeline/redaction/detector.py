@@ -78,11 +78,11 @@ class _CenterFace:
         import onnx
         import onnxruntime  # pyright: ignore[reportMissingTypeStubs]
 
-        ort, model = cast(Any, onnxruntime), Path(package.default_onnx_path)
+        ort, load, model = cast(Any, onnxruntime), cast(Any, onnx).load, Path(package.default_onnx_path)
         options = ort.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         options.log_severity_level = 3  # it warns of every initializer of this old model
-        of_any_size = package.CenterFace.dynamicize_shapes(onnx.load(str(model)))
+        of_any_size = package.CenterFace.dynamicize_shapes(load(str(model)))
         self._net = package.CenterFace.__new__(package.CenterFace)  # its __init__ takes all cores and prints
         self._net.backend, self._net.in_shape = "onnxrt", None
         self._net.onnx_input_name, self._net.onnx_output_names = "input.1", ["537", "538", "539", "540"]

@@ -80,7 +80,8 @@ class Hiding:
 
 def code_hash() -> str:
     """Hash of every source file that decides which pixels are hidden."""
-    return source_hash([Path(__file__), *(Path(m.__file__ or "") for m in (covering, detector, regions, video, pixels))])
+    modules = (covering, detector, regions, video, pixels)
+    return source_hash([Path(__file__), *(Path(m.__file__ or "") for m in modules)])
 
 
 @dataclass(frozen=True)
@@ -103,37 +104,41 @@ class _Video:
                 return self.clip, seen
             if (clip := clips.find(key)) is not None and clip.sha256 == sha:
                 return replace(clip, repeated=self.clip.repeated), seen
-        clip, seen = self._made(key)
-        if clip is not self.clip:
-            try:
+        try:
+            clip, seen = self._made(key)
+            if clip is not self.clip:
                 clip = replace(clips.add(self.how.part, clip), repeated=self.clip.repeated)
-            finally:
-                self.how.part.unlink(missing_ok=True)
+        finally:
+            self.how.part.unlink(missing_ok=True)
         with atomic(note) as stream:
             stream.write(json.dumps({"source": clip.source, "sha256": clip.sha256, "seen": asdict(seen)}).encode())
         return clip, seen
 
     def _made(self, key: str) -> tuple[Clip, Seen]:
         """What is released, encoded to `part` unless it is the clip itself; looked through until it is clean."""
-        found = self._look(FIRST, self.clip) if self.faces else [[] for _ in range(self.clip.frames)]
+        nothing: list[list[Box]] = [[] for _ in range(self.clip.frames)]
+        found = self._look(FIRST, self.clip) if self.faces else nothing
         hidden = covered(found, self.how.map.faces)
-        seen = Seen(len(self.regions), sum(map(len, found)), sum(map(bool, found)), sum(map(bool, hidden)),
-                    looks=int(self.faces))
+        seen = Seen(len(self.regions), sum(map(len, found)), sum(map(bool, found)), looks=int(self.faces))
         made = self._encoded(key, hidden, frozenset()) if self.regions or any(hidden) else self.clip
         if not self.faces:
             return made, seen
-        if not (left := self._left(made)):
-            return made, replace(seen, looks=2)
-        made = self._encoded(key, hidden, left)
-        if still := self._left(made):
-            raise DatasetError(f"a face is still found in frame {min(still)} after {len(left)} frames were hidden whole",
+        left = self._left(made)
+        whole = frozenset(k for k, boxes in enumerate(left) if boxes)
+        if whole:  # what was missed here was perhaps missed beside, too: its place is hidden there as well
+            hidden = [a + b for a, b in zip(hidden, covered(left, self.how.map.faces), strict=True)]
+            made = self._encoded(key, hidden, whole)
+        seen = replace(seen, frames_covered=sum(map(bool, hidden)), frames_blanked=len(whole), looks=3 if whole else 2)
+        if whole and any(still := self._left(made)):
+            first = next(k for k, boxes in enumerate(still) if boxes)
+            raise DatasetError(f"a face is still found in frame {first} with {len(whole)} frames hidden whole",
                                where=self.where, mend="nothing is released: draw a region over it, raise "
                                                       "faces.threshold if it is none, or drop the episode")
-        return made, replace(seen, frames_blanked=len(left), looks=3)
+        return made, seen
 
-    def _left(self, clip: Clip) -> frozenset[int]:
-        """Frames in which a face is still found, looked at in two ways."""
-        return frozenset(k for look in (FIRST, SECOND) for k, boxes in enumerate(self._look(look, clip)) if boxes)
+    def _left(self, clip: Clip) -> list[list[Box]]:
+        """Where faces are still found in each frame, looked at in two ways."""
+        return [a + b for a, b in zip(self._look(FIRST, clip), self._look(SECOND, clip), strict=True)]
 
     def _pictures(self, clip: Clip) -> Iterator[Picture]:
         return islice(video.decoded(clip.file), clip.first, clip.first + clip.frames)
@@ -169,8 +174,8 @@ class _Video:
         eyes = self.how.eyes.about if self.faces and self.how.eyes is not None else None
         how = [self.how.map.faces.model_dump() if self.faces else None, list(self.how.map.fill), eyes]
         clip = [self.clip.sha256, self.clip.first, self.clip.frames]
-        return sha256(json.dumps([clip, masks, how, self.how.fps, video.CODEC, video.PIX_FMT, video.OPTIONS, code_hash()],
-                                 sort_keys=True).encode())
+        encoder = [self.how.fps, video.CODEC, video.PIX_FMT, video.OPTIONS]
+        return sha256(json.dumps([clip, masks, how, encoder, code_hash()], sort_keys=True).encode())
 
 
 def _noted(note: Path) -> tuple[Seen, str] | None:

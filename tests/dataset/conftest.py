@@ -77,13 +77,13 @@ def footage_of(episode: Episode, camera: str) -> DrawnFootage:
     return DrawnFootage(episode, camera)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def footage() -> Callable[[Episode, str], DrawnFootage]:
     """Gives what a camera saw in an episode made here; see DrawnFootage."""
     return footage_of
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def episode() -> Callable[..., Episode]:
     """Makes an Episode: episode(name, origin, length=, parent=name, label=, generation=, takeover=tick)."""
     return make_episode
@@ -95,18 +95,18 @@ def frames() -> Callable[[Episode], Frames]:
     return frames_of
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def recipe() -> Recipe:
     """The default dataset section."""
     return Recipe(name="test")
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def task() -> str:
     return TASK
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def smooth() -> Callable[[Episode], Frames]:
     """Gives frames that a robot could have made: slow waves, two ticks behind their commands."""
     def frames(episode: Episode) -> Frames:
