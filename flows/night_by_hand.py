@@ -6,7 +6,7 @@ from typing import Any
 from flows.arm_run import run_id
 from flows.arms import LOOP
 from flows.estimate import night_steps
-from flows.opening import open_order, order_of
+from flows.opening import Order, open_order, order_of
 from pipeline.errors import ConfigError
 from pipeline.store import Store, store_root
 from schemas.night import Night
@@ -22,10 +22,7 @@ def run_night(*, recipe: str, seed: int, twin: int, day: int | None) -> list[dic
         ConfigError: the recipe has no nightly gate.
         HardcaseError: a stage refused.
     """
-    order = order_of(recipe, None, seed, twin)
-    if order.recipe.gate.nightly is None:
-        raise ConfigError("this recipe has no nightly gate", where=f"recipe {order.recipe.name}, gate.nightly",
-                          mend="add `nightly: {}` below `gate:` in the recipe, or use --recipe nightly")
+    order = nightly_order(recipe, seed, twin)
     told: list[dict[str, Any]] = []
     with open_order(order, store_root()) as steps:
         steps.day = day
@@ -36,9 +33,22 @@ def run_night(*, recipe: str, seed: int, twin: int, day: int | None) -> list[dic
     return told
 
 
+def nightly_order(recipe: str, seed: int, twin: int) -> Order:
+    """The order of a lasting run.
+
+    Raises:
+        ConfigError: no such recipe, or one without a nightly gate.
+    """
+    order = order_of(recipe, None, seed, twin)
+    if order.recipe.gate.nightly is None:
+        raise ConfigError("this recipe has no nightly gate", where=f"recipe {order.recipe.name}, gate.nightly",
+                          mend="add `nightly: {}` below `gate:` in the recipe, or use --recipe nightly")
+    return order
+
+
 def ledger(*, recipe: str, seed: int, twin: int) -> list[Night]:
     """Every night of a lasting run, oldest first."""
-    order = order_of(recipe, None, seed, twin)
+    order = nightly_order(recipe, seed, twin)
     with Store.open(store_root()) as store:
         return store.nights(run_id(order.recipe, seed, twin, LOOP))
 

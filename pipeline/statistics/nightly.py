@@ -17,7 +17,7 @@ from pipeline.statistics.betting import Counts, Reals, log_bound, log_gain, time
 type Flags = NDArray[np.bool_]
 type LogGain = Callable[[Counts, Counts], Reals]
 
-HOPELESS = 0.02
+HOPELESS = 0.05
 """A chance of being shown by the last scene below which a night is ended; giving up can never promote."""
 SAME_AFTER = 200
 """Policies without one discordant scene among so many are not told apart tonight."""

@@ -59,10 +59,10 @@ class Years:
     """Largest stake of any night."""
 
 
-def pair(champion: float, candidate: float, shared: float) -> tuple[float, float]:
+def pair(champion: Reals | float, candidate: Reals | float, shared: Reals | float) -> tuple[Reals, Reals]:
     """Chances that a scene is fixed and that it is broken, for two success rates and the correlation of outcomes."""
-    both = champion * candidate + shared * np.sqrt(champion * (1 - champion) * candidate * (1 - candidate))
-    both = min(both, champion, candidate)
+    spread = np.sqrt(champion * (1 - champion) * candidate * (1 - candidate))
+    both = np.minimum(np.minimum(champion * candidate + shared * spread, champion), candidate)
     return candidate - both, champion - both
 
 
