@@ -209,7 +209,7 @@ class Candidate:
 
     def _counts(self) -> str:
         told = ((self._late, "late"), (self._lost, "lost on the way"), (self._broken, "not finite"))
-        return ", ".join(f"{count} answers {how}" for count, how in told if count)
+        return ", ".join(f"{count} answer{'s' * (count > 1)} {how}" for count, how in told if count)
 
 
 def _pair() -> tuple[socket.socket, socket.socket]:
