@@ -12,6 +12,7 @@ import numpy as np
 
 from flows import facts
 from flows.shadowing import print_states, shadowed
+from flows.signalling import neighbours_of
 from flows.teleop_devices import TeleopOrder, open_policy, open_robot
 from flows.teleoperation import Stop
 from pipeline.errors import ConfigError, SimulationError
@@ -20,8 +21,11 @@ from pipeline.protocols import Policy
 from pipeline.recording.filming import Filming
 from pipeline.recording.live import Closed, LiveRecorder
 from pipeline.recording.live_header import beginning
+from pipeline.recording.ring import RingRecorder
 from pipeline.shadow.live import LiveShadow
 from pipeline.shadow.riders import Riders
+from pipeline.signals.live import LiveWatch
+from pipeline.simulation.tasks import load_task
 from pipeline.store import Store
 from schemas.scene import SceneSpec
 from stages.record import record
@@ -45,6 +49,8 @@ class RecordOrder:
     seconds: float = 10.0
     until_success: bool = False
     seed: int = 0
+    stratum: str | None = None
+    ring: bool = False
 
 
 def run_record(order: RecordOrder, root: Path, *, as_json: bool = False) -> bool:
@@ -72,14 +78,17 @@ def run_record(order: RecordOrder, root: Path, *, as_json: bool = False) -> bool
         generation=0, policy=policy_id)
     film = _Film(order, robot)
     with _riders(order, root) as riders:
-        with LiveRecorder(order.path, episode, attachments=attachments, software=facts.software()) as recorder:
+        make = RingRecorder if order.ring else LiveRecorder
+        with make(order.path, episode, attachments=attachments, software=facts.software()) as recorder:
             with stop.listening(), film.on(recorder):
                 robot.begin(scene)
                 outcome = record(robot, policy, recorder, seconds=order.seconds, until_success=order.until_success,
-                                 show=film.show, stop=stop, shadow=LiveShadow(riders, robot) if riders else None)
+                                 show=film.show, stop=stop, shadow=LiveShadow(riders, robot) if riders else None,
+                                 watch=_watch(order, scene, policy_id, root))
             closed = recorder.close(outcome)
         states = riders.states() if riders else {}
-    _print(closed, film.taken, robot.late, states, as_json=as_json)
+    windows = recorder.windows if isinstance(recorder, RingRecorder) else None
+    _print(closed, film.taken, robot.late, states, windows, as_json=as_json)
     return stop.asked
 
 
@@ -95,7 +104,7 @@ class _Film:
         self._filming = False
 
     @contextmanager
-    def on(self, recorder: LiveRecorder) -> Iterator[None]:
+    def on(self, recorder: LiveRecorder | RingRecorder) -> Iterator[None]:
         """Film while the body runs; where that is impossible, say so in one line and go on without."""
         with ExitStack() as stack:
             filming = None
@@ -138,13 +147,24 @@ def _riders(order: RecordOrder, root: Path) -> Iterator[Riders | None]:
         yield riders
 
 
+def _watch(order: RecordOrder, scene: SceneSpec, policy: str | None, root: Path) -> LiveWatch | None:
+    """Who computes signals: where somebody rides along, or a ring has to know what is worth keeping."""
+    if not (order.ring or order.shadows):
+        return None
+    task = load_task(scene.task)
+    if policy is None:
+        return LiveWatch(task)
+    with Store.open(root) as store:
+        return LiveWatch(task, neighbours_of(policy, store))
+
+
 def _robot(order: RecordOrder) -> tuple["SimulatedRobot", SceneSpec]:
     if order.robot.startswith("lerobot:"):
         raise ConfigError("a policy alone does not move a real robot", where=f"--robot {order.robot}",
                           mend="have a person beside it: hardcase teleop --robot NAME --policy ID")
     from pipeline.robots.simulated import SimulatedRobot
 
-    driven = open_robot(TeleopOrder(robot=order.robot), order.seed)
+    driven = open_robot(TeleopOrder(robot=order.robot, stratum=order.stratum), order.seed)
     assert isinstance(driven.robot, SimulatedRobot)
     return driven.robot, driven.scene_of(0, driven.robot.observe(_ONE))
 
@@ -154,15 +174,22 @@ def _config(order: RecordOrder) -> bytes:
     return json.dumps({**asdict(order), "path": order.path.name}, sort_keys=True).encode()
 
 
-def _print(closed: Closed, filmed: dict[str, int], late: int, states: Mapping[str, str], *, as_json: bool) -> None:
+def _print(closed: Closed, filmed: dict[str, int], late: int, states: Mapping[str, str],
+           windows: list[Closed] | None, *, as_json: bool) -> None:
     episode = closed.episode
     if as_json:
         print(json.dumps({"path": str(closed.path), "episode": episode.model_dump(mode="json"), "pictures": filmed,
                           "dropped": dict(closed.dropped), "late_ticks": late,
-                          **({"shadows": dict(states)} if states else {})}))
+                          **({"shadows": dict(states)} if states else {}),
+                          **({} if windows is None else {"windows": [
+                              {"path": str(w.path), "episode": w.episode.model_dump(mode="json")} for w in windows]})}))
         return
     print_states(states)
     said = f"{episode.duration_s:.1f} s, {episode.frames} ticks, outcome {episode.outcome.label}"
     pictures = "".join(f", {count} pictures of {name}" for name, count in filmed.items())
     lost = f"; dropped {dict(closed.dropped)}" if closed.dropped else ""
-    print(f"{closed.path}: {said}{pictures}{lost}\nlook at it: rerun {closed.path}")
+    print(f"{closed.path}: {said}{pictures}{lost}")
+    for window in windows or ():
+        kept = window.episode
+        print(f"{window.path}: {kept.duration_s:.1f} s at {kept.control_hz:g} Hz, {kept.outcome.reason}")
+    print(f"look at it: rerun {windows[0].path if windows else closed.path}")

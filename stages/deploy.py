@@ -13,7 +13,7 @@ from pipeline.protocols import Array, Ids, Observation, Policy
 from pipeline.shadow.riders import Riders
 from pipeline.shadow.targets import joint_targets
 from pipeline.signals.neighbours import Neighbours
-from pipeline.signals.tick import Signals
+from pipeline.signals.tick import Signals, plan_of
 from pipeline.simulation.recordings import Recorded, episode_id, record
 from pipeline.simulation.rollout import rollout
 from pipeline.simulation.tasks import mixed_strata, sample_scene, scene_seed
@@ -114,7 +114,7 @@ class _Ridden:
 
     def act(self, observation: Observation, ids: Ids) -> Array:
         """The champion's actions, untouched."""
-        memory = self._champion.memory(ids)
+        plan = plan_of(self._champion, ids) if self._watched else None
         action = self._champion.act(observation, ids)
         self._riders.offer(observation, ids)
         answers = self._riders.answers()
@@ -122,7 +122,7 @@ class _Ridden:
             self._tracer.pend(f"shadow/{id}/joint", joint_targets(self._world.would_send, other, ids))
             self._tracer.pend(f"shadow/{id}/disagreement", disagreement(other, action))
         if self._watched:
-            for name, values in self._signals.tick(observation, action, answers, ids, memory).items():
+            for name, values in self._signals.tick(observation, action, answers, ids, plan).items():
                 self._tracer.pend(f"signal/{name}", values)
         for id, state in self._riders.news():
             for attempt in ids:

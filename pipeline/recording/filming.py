@@ -7,6 +7,7 @@ from typing import Self
 from pipeline.errors import HardcaseError
 from pipeline.protocols import Cameras
 from pipeline.recording.live import LiveRecorder
+from pipeline.recording.ring import RingRecorder
 
 _WAIT_S = 0.1
 """Longest a camera may keep the thread from noticing the end [s]."""
@@ -27,7 +28,7 @@ class Filming:
             can go on without.
     """
 
-    def __init__(self, recorder: LiveRecorder, cameras: Cameras) -> None:
+    def __init__(self, recorder: LiveRecorder | RingRecorder, cameras: Cameras) -> None:
         self._recorder, self._cameras = recorder, cameras
         self._stop, self._opened, self._ready = threading.Event(), threading.Event(), False
         self._bug: Exception = RuntimeError("cameras ended without a word")

@@ -46,6 +46,8 @@ class Row:
     """Reward term -> value."""
     shadows: Mapping[str, tuple[Vector, float]] = field(default_factory=dict[str, tuple[Vector, float]])
     """Policy that may not act -> joint targets it asked for, shape (7,), and its disagreement; see trace.Shadow."""
+    signals: Mapping[str, float] = field(default_factory=dict[str, float])
+    """What was computed of the risk, see pipeline.signals -> value, NaN where it is not known."""
     sim_state: Vector = field(default_factory=_NONE.copy)
     """mjSTATE_INTEGRATION before the action of the tick, shape (nstate,)."""
     controller: Vector = field(default_factory=_NONE.copy)
@@ -56,13 +58,14 @@ class Row:
         shadows = [np.append(asked, apart) for asked, apart in self.shadows.values()]
         return np.concatenate([
             self.state, self.environment, self.action, self.joint_action, self.joint_velocity, self.joint_effort,
-            self.link_poses.reshape(-1), [*self.reward.values()], *shadows, self.sim_state, self.controller],
+            self.link_poses.reshape(-1), [*self.reward.values()], *shadows, [*self.signals.values()],
+            self.sim_state, self.controller],
             dtype=np.float64)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Links, rewards and shadows, which may not change from tick to tick."""
-        return (*self.links, *self.reward, *self.shadows)
+        """Links, rewards, shadows and signals, which may not change from tick to tick."""
+        return (*self.links, *self.reward, *self.shadows, *self.signals)
 
 
 class TickLayout:
@@ -152,9 +155,9 @@ class RowLayout(TickLayout):
     def __init__(self, row: Row, where: object) -> None:
         check_row(row, where)
         sizes = [16, 7, 5, 7, len(row.joint_velocity), len(row.joint_effort), row.link_poses.size, len(row.reward),
-                 8 * len(row.shadows), len(row.sim_state), len(row.controller)]
+                 8 * len(row.shadows), len(row.signals), len(row.sim_state), len(row.controller)]
         edges = list(accumulate(sizes, initial=0))
-        state, seen, action, sent, velocity, effort, poses, rewards, shadows, sim, memory = (
+        state, seen, action, sent, velocity, effort, poses, rewards, shadows, risk, sim, memory = (
             np.arange(a, b, dtype=np.intp) for a, b in pairwise(edges))
         self._yaw = int(seen[3])
         zero, sine, cosine, one = (edges[-1] + k for k in range(4))
@@ -177,6 +180,7 @@ class RowLayout(TickLayout):
             asked = cdr.joint_state(JOINT_NAMES, velocity=False, effort=False)
             columns += [(f"/policy/{policy}/joint_commands", asked, own[:7]),
                         (f"/policy/{policy}/disagreement", cdr.float64(), own[7:])]
+        columns += [(f"/signal/{name}", cdr.float64(), [int(at)]) for name, at in zip(row.signals, risk, strict=True)]
         if len(sim):
             columns += [_array("/sim/state", "mjSTATE_INTEGRATION", sim),
                         _array("/sim/controller", "controller", memory)]

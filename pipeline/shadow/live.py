@@ -10,6 +10,7 @@ from pipeline.disagreement import disagreement
 from pipeline.protocols import Array, Observation
 from pipeline.recording.live import LiveRecorder
 from pipeline.recording.live_rows import Row
+from pipeline.recording.ring import RingRecorder
 from pipeline.shadow.riders import Riders
 from pipeline.shadow.targets import joint_targets
 
@@ -45,7 +46,7 @@ class LiveShadow:
         """Show what the robot perceives; the command of the tick has been decided."""
         self._riders.offer(observation, _ONE)
 
-    def beside(self, row: Row, recorder: LiveRecorder, tick: int) -> Row:
+    def beside(self, row: Row, recorder: LiveRecorder | RingRecorder, tick: int) -> Row:
         """The row of a tick with what the candidates have answered in time; news of them goes to /events."""
         self.answers = self._riders.answers()
         found = {id: (joint_targets(lambda action, _: self._robot.would_have_sent(action), action, _ONE)[0],

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from pipeline.disagreement import ACTION_SCALE, disagreement
 from pipeline.frames import ACTION
 from pipeline.policies.ensembling import DECAY, weights
-from pipeline.protocols import Array, Ids, Observation
+from pipeline.policies.onnx_policy import OnnxPolicy
+from pipeline.protocols import Array, Ids, Observation, Policy
 from pipeline.signals.neighbours import Neighbours
 from pipeline.signals.warning import WEIGHTS, Running, warning
 
@@ -43,7 +44,7 @@ class Signals:
         self._neighbours, self._running = neighbours, Running(n)
 
     def tick(self, observation: Observation, action: Array, answers: Mapping[str, Array], ids: Ids,
-             memory: Array) -> dict[str, Array]:
+             plan: Array | None) -> dict[str, Array]:
         """Signal -> its value for each attempt of the tick, shape (len(ids),).
 
         Args:
@@ -51,19 +52,24 @@ class Signals:
             action: what it does, shape (len(ids), 5).
             answers: candidate -> what it would have done, shape (len(ids), 5), NaN rows where it was silent.
             ids: the attempts.
-            memory: the champion's memory before it acted, shape (len(ids), w); see OnnxPolicy.memory.
+            plan: what the champion had planned to do now, see `plan_of`.
         """
         found: dict[str, Array] = {}
         if self._neighbours is not None:
             found["distance"] = self._neighbours.distance(observation)
-        if memory.shape[1] > 1:
-            found["revision"] = disagreement(action, planned(memory))
+        if plan is not None:
+            found["revision"] = disagreement(action, plan)
         if answers:
             others = np.stack([*answers.values()])
             found |= {"apart": apart(action, others), "spread": spread(action, others), "flips": flips(action, others)}
         if WEIGHTS.keys() <= found.keys():
             found["warning"] = warning(self._running.tick({name: found[name] for name in WEIGHTS}, ids))
         return found
+
+
+def plan_of(champion: Policy, ids: Ids) -> Array | None:
+    """What a policy has planned for the tick that comes, asked before it acts; None where it plans no chunks."""
+    return planned(champion.memory(ids)) if isinstance(champion, OnnxPolicy) else None
 
 
 def planned(memory: Array, decay: float = DECAY) -> Array:
