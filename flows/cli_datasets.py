@@ -78,7 +78,7 @@ def derive(
     from schemas.edits import line
 
     order = Order(version, add or [], drop or [], keep_where, trim or [], relabel or [], reweight or [], redact)
-    made = derive_version(order)
+    made = derive_version(order, progress=lambda told: None if json else typer.echo(f"  {told}", err=True))
     typer.echo(made.model_dump_json() if json else "\n".join(
         [f"{made.id}: {len(made.episodes)} episodes, {made.frames} frames, from {made.parent}",
          *(f"  {line(edit)}" for edit in made.edits), *([f"  {told}"] if (told := summary(made)) else [])]))

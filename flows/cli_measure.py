@@ -61,3 +61,17 @@ def nights(
     from flows.nights_study import run_nights_study
 
     run_nights_study(years=years, nights=tries, recipe=recipe, json=json, svg=svg)
+
+
+@measure.command()
+def faces(
+    threshold: Annotated[float, typer.Option(min=0.05, max=0.9, help="Score from which a find counts.")] = 0.2,
+    json: Json = None,
+) -> None:
+    """How small a face the detector of redactions still finds, and the CPU time of a look. Needs the extra `privacy`.
+
+    Example: hardcase measure faces --json faces.json
+    """
+    from flows.faces_study import run_faces_study
+
+    run_faces_study(threshold, json)

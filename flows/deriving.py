@@ -1,7 +1,7 @@
 """hardcase derive: what a person asks for becomes edits, the edits a version, the version a row of the store."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -45,12 +45,14 @@ class Order:
     """File of a redaction map."""
 
 
-def derive_version(order: Order, root: Path | None = None) -> DatasetVersion:
+def derive_version(order: Order, root: Path | None = None,
+                   progress: Callable[[str], None] = lambda told: None) -> DatasetVersion:
     """Derive the version and note it; one that is there already is found again.
 
     Args:
         order: the edits, applied in the order add, drop, keep, trim, relabel, reweight, redact.
         root: the store; the one of HARDCASE_STORE by default.
+        progress: told which video is being redacted.
 
     Raises:
         HardcaseError: an option cannot be read, or the version cannot be derived.
@@ -65,7 +67,7 @@ def derive_version(order: Order, root: Path | None = None) -> DatasetVersion:
             return chosen, ancestors_of(store, chosen)
 
         version = derive(parent, edits, store=store.root, others=others, consents=consents_now(store),
-                         verdicts=_failures(store), episodes_of=episodes_of)
+                         verdicts=_failures(store), episodes_of=episodes_of, progress=progress)
         store.add_version(version)
         return version
 

@@ -52,7 +52,8 @@ def _told(store: Store, version: DatasetVersion, files: Mapping[int, int],
         "id": version.id, "recipe": version.recipe, "generation": version.generation, "folder": str(folder),
         "episodes": len(version.episodes), "frames": version.frames, "held_out": len(version.held_out),
         "own_bytes": own, "shared_bytes": sum(files.values()) - own, "parents": _parents(version),
-        "edits": [line(e) for e in version.edits], "redacted": (folder / STATEMENT).is_file(), "erased": len(version.erased), "weights": version.weights}
+        "edits": [line(e) for e in version.edits], "redacted": (folder / STATEMENT).is_file(),
+        "erased": len(version.erased), "weights": version.weights}
     if not (folder / EPISODES).is_file():
         return {**told, "sources": {}, "success": None, "cameras": [], "missing": True}
     table = read_parquet(folder / EPISODES, ["source", "outcome"])

@@ -37,6 +37,7 @@ from pipeline.lerobot_view.manifest import digest_of, load_version
 from pipeline.lerobot_view.opened import Opened, open_version, refuse_other_features
 from pipeline.lerobot_view.plan import Plan, planned
 from pipeline.redaction import redacting
+from pipeline.redaction.films import Progress, silent
 from pipeline.redaction.redacting import Redaction
 from schemas import edits as edit_schemas
 from schemas.dataset import DatasetVersion
@@ -54,7 +55,8 @@ type EpisodesOf = Callable[[Sequence[str]], tuple[Iterable[Episode], Iterable[Ep
 
 def derive(parent: DatasetVersion, edits: Sequence[Edit], *, store: Path,
            others: Mapping[str, DatasetVersion] = NO_OTHERS, consents: Consents = NO_CONSENTS,
-           verdicts: Verdicts = NO_VERDICTS, episodes_of: EpisodesOf | None = None) -> DatasetVersion:
+           verdicts: Verdicts = NO_VERDICTS, episodes_of: EpisodesOf | None = None,
+           progress: Progress = silent) -> DatasetVersion:
     """Make the version that the edits ask for, or return it if it is already there.
 
     Nothing is encoded again but videos that a redaction changes.
@@ -67,6 +69,7 @@ def derive(parent: DatasetVersion, edits: Sequence[Edit], *, store: Path,
         consents: who agrees at this moment; an episode of somebody who does not is refused.
         verdicts: what the checks found; an episode that failed is refused.
         episodes_of: looks episodes up, asked only where a verdict is a failure.
+        progress: told which video is being redacted.
 
     Raises:
         ConsentError: an episode that is left rests on a consent that does not hold.
@@ -85,7 +88,7 @@ def derive(parent: DatasetVersion, edits: Sequence[Edit], *, store: Path,
         return load_version(target)
     draft = drafted(open_version(store / parent.path, parent), [e for e in edits if e is not redact],
                     _opened(parent, edits, others, store))
-    redaction = Redaction.of(redact.map, store, id, draft) if redact is not None else None
+    redaction = Redaction.of(redact.map, store, id, draft, progress) if redact is not None else None
     made = planned(redaction.draft if redaction is not None else draft)
     _refuse_people(made, consents)
     if episodes_of is not None and any(not v.passed for v in verdicts.by_subject.values()):

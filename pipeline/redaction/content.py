@@ -12,8 +12,9 @@ from pipeline.lerobot_view.opened import Opened, read_tasks
 from schemas.dataset import DatasetVersion
 
 PLACED = ("data/", "videos/", "stats/", "meta/", "dataset_", "repeated.")
-DRAWN = ("episode_index", "weight", "group", "split", "length")
-"""Columns that say where an episode lies or how often it is drawn: they change with its neighbours."""
+DRAWN = ("episode_index", "weight", "group", "split", "length", "blob")
+"""Columns that say where an episode lies or how often it is drawn: they change with its neighbours, and the hash of a
+shard with the other variants in it."""
 
 
 def data_of(opened: Opened, k: int) -> bytes:

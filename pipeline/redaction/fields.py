@@ -107,7 +107,7 @@ def _own(columns: dict[str, Any], opened: Opened, name: str, rule: FieldRule, wo
         put = rule.to if rule.do == "replace" else 0
         columns[name] = scalars(np.array([put if not rule.episodes or id in rule.episodes else (v or 0)
                                           for id, v in zip(opened.ids, values, strict=True)],
-                                         np.float64)).cast(columns[name].type, safe=False)
+                                         columns[name].type.to_pandas_dtype()))
     if rule.do == "remove":
         del columns[name]
 

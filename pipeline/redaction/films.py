@@ -1,7 +1,7 @@
 """Videos hidden by a map: looked through, filled, encoded, looked through again; what cannot be cleaned is refused."""
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -19,6 +19,12 @@ from pipeline.redaction.covering import covered
 from pipeline.redaction.detector import FIRST, SECOND, Detector, Look
 from pipeline.redaction.regions import Box, Regions, filled, regions_of
 from schemas.redaction import RedactionMap
+
+type Progress = Callable[[str], None]
+
+
+def silent(_: str) -> None:
+    """Nobody is told."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +55,7 @@ class Hiding:
         fps: frames a second.
         part: where to encode to, on the store's file system.
         eyes: finds faces; may be None where the map asks for none.
+        progress: told which video is at hand.
     """
 
     map: RedactionMap
@@ -56,6 +63,7 @@ class Hiding:
     fps: int
     part: Path
     eyes: Detector | None
+    progress: Progress = silent
 
     def clips(self, plan: Plan, clips: ByCamera) -> tuple[ByCamera, dict[tuple[str, str], Seen]]:
         """The videos as they are released, and what was done to each, by episode and camera.
@@ -73,6 +81,7 @@ class Hiding:
                 here = regions_of(rule, id, height=clip.height, width=clip.width, frames=clip.frames,
                                   where=f"redaction map, cameras.{camera}")
                 if here or rule.faces:
+                    self.progress(f"camera {camera}, episode {k + 1} of {len(plan.ids)}")
                     looked = _Video(self, clip, here, rule.faces, f"episode {id}, camera {camera}")
                     made[camera][k], seen[id, camera] = looked.released()
         return made, seen
@@ -123,7 +132,8 @@ class _Video:
         made = self._encoded(key, hidden, frozenset()) if self.regions or any(hidden) else self.clip
         if not self.faces:
             return made, seen
-        left = self._left(made)
+        # of a video that was not encoded the first look is known: it found nothing
+        left = self._left(made) if made is not self.clip else self._look(SECOND, made)
         whole = frozenset(k for k, boxes in enumerate(left) if boxes)
         if whole:  # what was missed here was perhaps missed beside, too: its place is hidden there as well
             hidden = [a + b for a, b in zip(hidden, covered(left, self.how.map.faces), strict=True)]

@@ -60,8 +60,8 @@ def _make(path: Path) -> None:
             stream.write(data)
             stream.flush()
             os.fsync(stream.fileno())
-        if not path.exists():
-            part.rename(path) if not _linked(part, path) else None
+        if not _linked(part, path) and not path.exists():
+            part.rename(path)
     finally:
         part.unlink(missing_ok=True)
     sync_folder(path.parent)

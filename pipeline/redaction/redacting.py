@@ -15,7 +15,7 @@ from pipeline.lerobot_view.plan import Plan
 from pipeline.redaction import content, fields, films, keys, leaks, names, statement
 from pipeline.redaction.detector import Detector, centerface
 from pipeline.redaction.fields import Texts, redacted
-from pipeline.redaction.films import Hiding, Seen
+from pipeline.redaction.films import Hiding, Progress, Seen, silent
 from pipeline.redaction.leaks import refuse_leaks
 from pipeline.redaction.names import refuse_unknown
 from pipeline.redaction.statement import Done, write_statement
@@ -38,10 +38,11 @@ class Redaction:
     """The sources of the draft as they lie in the store."""
     draft: Draft
     """Of versions that do not show their hidden fields any more."""
+    progress: Progress = silent
     seen: dict[tuple[str, str], Seen] = field(default_factory=dict[tuple[str, str], Seen])
 
     @classmethod
-    def of(cls, map: RedactionMap, store: Path, version: str, draft: Draft) -> Self:
+    def of(cls, map: RedactionMap, store: Path, version: str, draft: Draft, progress: Progress = silent) -> Self:
         """Make ready; where faces are asked for, the detector is loaded and tried before anything else happens.
 
         Args:
@@ -49,6 +50,7 @@ class Redaction:
             store: root of the store.
             version: id of the version that it becomes.
             draft: what it holds.
+            progress: told which video is at hand.
 
         Raises:
             ConfigError: the map names what is not there or must stay.
@@ -57,11 +59,12 @@ class Redaction:
         refuse_unknown(map, draft)
         eyes, words = centerface() if map.asks_for_faces else None, Texts(map)
         hidden = replace(draft, sources=tuple(redacted(source, map, words) for source in draft.sources))
-        return cls(map, store, store / "tmp" / f"redacted-{version}.mp4", eyes, words, draft.sources, hidden)
+        return cls(map, store, store / "tmp" / f"redacted-{version}.mp4", eyes, words, draft.sources, hidden,
+                   progress)
 
     def clips(self, plan: Plan, clips: ByCamera) -> ByCamera:
         """The videos as they are released; see Hiding."""
-        how = Hiding(self.map, self.store, plan.draft.parent.fps, self.part, self.eyes)
+        how = Hiding(self.map, self.store, plan.draft.parent.fps, self.part, self.eyes, self.progress)
         made, seen = how.clips(plan, clips)
         self.seen.update(seen)
         return made

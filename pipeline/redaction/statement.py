@@ -148,7 +148,10 @@ def verify_folder(folder: Path) -> tuple[Statement, str]:
 
 
 def verify_before(said: Statement, parent: Opened, store: Path) -> list[str]:
-    """Compare the keyed hashes with the parent in the store that signed; the episodes that differ."""
+    """Compare the keyed hashes with the parent in the store that signed; the episodes that differ.
+
+    Episodes that were added from other versions, or that the parent has lost since, are passed over.
+    """
     blind, place = Blind(store_key(store), said.version), {id: k for k, id in enumerate(parent.ids)}
     videos = clips_in(parent.folder)
     wrong: list[str] = []

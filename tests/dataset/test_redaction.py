@@ -20,8 +20,11 @@ from pipeline.lerobot_view.video import decoded
 from pipeline.store import Store
 from pipeline.store.erasure_plan import plan_erasure
 from schemas.consent import Consent
+from schemas.edits import Redact
 from schemas.recipe import CameraConfig, DatasetConfig
+from schemas.redaction import RedactionMap
 from stages.build import build
+from stages.derive import derive
 from stages.forget import forget
 
 EPISODES = "meta/episodes/chunk-000/file-000.parquet"
@@ -284,6 +287,24 @@ def test_fields_of_some_episodes_leave_the_others_as_they_were(base, run, place)
         assert one.samefile(two)
 
 
+def test_data_files_before_the_first_change_are_shared(episode, smooth, recipe, tmp_path):
+    demos = [episode(f"demo {k}", length=9) for k in range(4)]
+    first = build(demos[:2], smooth, recipe, store=tmp_path, task="lift", generation=0)
+    both = build(demos, smooth, recipe, store=tmp_path, task="lift", generation=1, parent=first)
+    rule = {"do": "blank", "episodes": [demos[3].id]}
+    map = RedactionMap.model_validate({"fields": {"observation.state": rule, "task": {**rule}}})
+    made = derive(both, [Redact(map=map)], store=tmp_path)
+    one, two = ("data/chunk-000/file-000.parquet", "data/chunk-000/file-001.parquet")
+    assert (tmp_path / made.path / one).samefile(tmp_path / both.path / one)
+    rows, old = (pq.read_table(tmp_path / v.path / two) for v in (made, both))
+    state, before = (np.stack(t.column("observation.state").to_pylist()) for t in (rows, old))
+    assert not state[9:].any() and (state[:9] == before[:9]).all()
+    assert rows.column("task_index").to_pylist() == [0] * 9 + [1] * 9
+    stats = json.loads((tmp_path / made.path / "meta/stats.json").read_text())
+    every = np.concatenate([smooth(d).state for d in demos[:3]] + [np.zeros((9, before.shape[1]))])
+    np.testing.assert_allclose(stats["observation.state"]["mean"], every.mean(0), atol=1e-6)
+
+
 def test_forgetting_reaches_the_redacted_version_and_signs_it_again(base, made, run, place, tmp_path, monkeypatch):
     _, demos = base
     subprocess.run(["cp", "-a", str(place / "store"), str(tmp_path / "store")], check=True)  # links stay links
@@ -294,7 +315,7 @@ def test_forgetting_reaches_the_redacted_version_and_signs_it_again(base, made, 
             forget(store, lease, plan)
     code, out, err = run("redaction", "verify", made.id)
     assert code == 0, err
-    assert "3 episodes, 1 forgotten since" in out and "hashes before" in out
+    assert "3 episodes, 1 forgotten since" in out and "hashes before: as in version" in out
     said = json.loads((tmp_path / "store" / made.path / "meta/redaction.json").read_text())
     assert demos[1].id not in said["episodes"] and said["counts"]["videos"] == 6
     assert "incomplete: erased (1 episodes); redacted, signed" in run("datasets")[1]
