@@ -38,6 +38,7 @@ def restorable(run: ArmRun, id: str) -> Restorable:
 
 
 def subject_of(run: ArmRun, generation: int, champion: str, candidate: str) -> Subject:
-    """What a report says it is about; a candidate that was champion before is a former one."""
-    earlier: Sequence[str] = [r.policy for r in run.store.releases(run.run)]
+    """What a report says it is about; a candidate released before the champion is a former one."""
+    released: Sequence[str] = [r.policy for r in run.store.releases(run.run)]
+    earlier = released[:released.index(champion)] if champion in released else ()
     return Subject(run.run, generation, run.twin, champion, candidate, candidate in earlier)

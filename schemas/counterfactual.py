@@ -18,7 +18,8 @@ class JudgeConfig(Frozen):
         default=0.04, gt=0, description="disagreement from which two policies are apart, in scales of the action")
     lasting: int = Field(default=3, ge=1, description="ticks that it has to stay there")
     draws: int = Field(default=16, ge=2, description="noise and physics draws of each policy")
-    most: int | None = Field(default=None, ge=1, description="moments judged, drawn at random; all where None")
+    most: int | None = Field(
+        default=None, ge=1, description="moments judged, large disagreements more often; all where None")
     checked: int = Field(
         default=50, ge=0, description="attempts, drawn at random, that both also play alone from the first tick")
     seed: int = Field(default=0, ge=0, description="of the draws, and of which moments are judged")

@@ -32,15 +32,18 @@ class Sampled:
     """Those with a lasting disagreement."""
     gains: Sequence[float]
     """Candidate's success minus the champion's from the moment on, in [-1, 1], of those that were judged."""
+    weights: Sequence[float] = ()
+    """How many of those apart each judged one stands for; all alike where none are given."""
 
 
 def expected_change(sampled: Sampled, rng: np.random.Generator, *, level: float = 0.95) -> Interval:
     """Mean change of success an attempt, with a bootstrap interval over attempts.
 
-    change = apart / attempts x mean(gains). Each replicate draws how many attempts are apart, and then that many of
-    the judged ones as there are, with replacement. Half an attempt that gains everything and half an one that loses
-    everything are added for the interval alone (Agresti and Min's half in every cell of a paired table), or a
-    hundred attempts without a disagreement would be taken for proof that there never is one.
+    change = apart / attempts x mean(gains), weighted where not all had the same chance to be judged. Each replicate
+    draws how many attempts are apart, and as many of the judged ones as there are, with replacement. Half an attempt
+    that gains everything and half an one that loses everything are added for the interval alone (Agresti and Min's
+    half in every cell of a paired table), or a hundred attempts without a disagreement would be taken for proof
+    that there never is one.
 
     Args:
         sampled: what was judged.
@@ -57,13 +60,14 @@ def expected_change(sampled: Sampled, rng: np.random.Generator, *, level: float 
     if n < 1 or apart > n or (apart and not gains.size):
         raise ConfigError(f"{gains.size} judged of {apart} disagreements in {n} attempts", where="expected change",
                           mend="judge at least one disagreement: raise --most, or see why all were refused")
-    estimate = apart / n * float(gains.mean()) if gains.size else 0.0
-    weight = apart / gains.size if gains.size else 1.0  # attempts that a judged one stands for
+    own = np.asarray(sampled.weights, np.float64) if len(sampled.weights) else np.ones(gains.size)
+    estimate = apart / n * float(np.average(gains, weights=own)) if gains.size else 0.0
     pool = np.concatenate([gains, [1.0, -1.0]])
-    chance = np.concatenate([np.full(gains.size, weight), [0.5, 0.5]])
+    heavy = np.concatenate([own / own.mean() if gains.size else own, [1.0, 1.0]])
+    chance = np.concatenate([np.full(gains.size, apart / max(gains.size, 1)), [0.5, 0.5]])
     drawn = rng.multinomial(gains.size + 1, chance / chance.sum(), REPLICATES)
     share = rng.binomial(n + 2, (apart + 1) / (n + 2), REPLICATES) / (n + 2)
-    replicates = share * (drawn @ pool) / (gains.size + 1)
+    replicates = share * (drawn @ (heavy * pool)) / (drawn @ heavy)
     low, high = np.quantile(replicates, [(1 - level) / 2, (1 + level) / 2])
     return Interval(estimate, min(float(low), estimate), max(float(high), estimate))
 

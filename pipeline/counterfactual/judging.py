@@ -10,6 +10,7 @@ from pipeline.counterfactual.branches import Branches, branch
 from pipeline.counterfactual.moment import Lab, Moment, moment_of
 from pipeline.counterfactual.restore import faults
 from pipeline.counterfactual.ride import Restorable, Ride, ride
+from pipeline.counterfactual.sampling import sample
 from pipeline.counterfactual.windows import Window, first_window
 from pipeline.disagreement import disagreement
 from pipeline.files import short_id
@@ -46,12 +47,14 @@ class Judged:
     windows: tuple[Window | None, ...]
     """The first lasting disagreement of each attempt."""
     judgements: tuple[Judgement, ...]
+    weights: tuple[float, ...]
+    """How many disagreements each judgement stands for; 1 where all were judged."""
     refusals: tuple[Refusal, ...]
 
 
 def judge(attempts: Sequence[Attempt], champion: Named, candidate: Named, draws: Sequence[Draw], lab: Lab,
           config: JudgeConfig, triggers: HarvestConfig) -> Judged:
-    """Judge the first lasting disagreement of every attempt, or of a random sample of those that have one.
+    """Judge the first lasting disagreement of every attempt, or of a sample of those that have one.
 
     Args:
         attempts: of the champion, whole recordings of one task.
@@ -67,7 +70,8 @@ def judge(attempts: Sequence[Attempt], champion: Named, candidate: Named, draws:
     windows = tuple(first_window(d, config) for d in apart)
     moments: list[Moment] = []
     refused: list[Refusal] = []
-    for i in chosen(windows, config):
+    stands_for = sample(windows, config)
+    for i in stands_for:
         (episode, trace), window = attempts[i], windows[i]
         assert window is not None
         wrong = _another_policy(trace, acted[i], champion.id)
@@ -81,7 +85,8 @@ def judge(attempts: Sequence[Attempt], champion: Named, candidate: Named, draws:
     sound = [m for m, wrong in zip(moments, wrongs, strict=True) if wrong is None]
     played = branch(sound, champion.policy, candidate.policy, lab, config, triggers)
     made = [judgement(m, b, champion.id, candidate.id, config) for m, b in zip(sound, played, strict=True)]
-    return Judged(apart, windows, tuple(made), tuple(refused))
+    weights = {attempts[i][0].id: weight for i, weight in stands_for.items()}
+    return Judged(apart, windows, tuple(made), tuple(weights[j.episode] for j in made), tuple(refused))
 
 
 def gains_from_start(attempts: Sequence[Attempt], champion: Named, candidate: Named, draws: Sequence[Draw], lab: Lab,
@@ -101,15 +106,6 @@ def gains_from_start(attempts: Sequence[Attempt], champion: Named, candidate: Na
                for (e, t), a, b in zip(attempts, acted, would, strict=True)]
     played = branch(moments, champion.policy, candidate.policy, lab, config, triggers)
     return np.array([b.success[1].mean() - b.success[0].mean() for b in played])
-
-
-def chosen(windows: Sequence[Window | None], config: JudgeConfig) -> list[int]:
-    """Attempts whose window is judged: all that have one, or a random sample of `most`."""
-    there = [i for i, w in enumerate(windows) if w is not None]
-    if config.most is None or len(there) <= config.most:
-        return there
-    picked = np.random.default_rng([config.seed, 17]).choice(len(there), config.most, replace=False)
-    return [there[k] for k in sorted(picked.tolist())]
 
 
 def _another_policy(trace: Trace, acted: Ride, champion: str) -> str | None:

@@ -53,7 +53,8 @@ def summarize(subject: Subject, attempts: Sequence[Attempt], judged: Judged, sta
     rng = np.random.default_rng([config.seed, 19])
     strata = [stratum_of(t.environment[0]) for _, t in attempts]
     gains = {j.episode: j for j in judged.judgements}
-    rows = [_row(name, [i for i, s in enumerate(strata) if name in ("all", s)], attempts, judged, gains, rng)
+    weights = {j.episode: w for j, w in zip(judged.judgements, judged.weights, strict=True)}
+    rows = [_row(name, [i for i, s in enumerate(strata) if name in ("all", s)], attempts, judged, gains, weights, rng)
             for name in ("all", *sorted(set(strata), key=lambda s: (s != "common", s)))]
     from_start, missed = _checked(start, attempts, judged, gains, rng)
     apart = np.concatenate(judged.apart)
@@ -67,11 +68,12 @@ def summarize(subject: Subject, attempts: Sequence[Attempt], judged: Judged, sta
 
 
 def _row(name: str, rows: Sequence[int], attempts: Sequence[Attempt], judged: Judged,
-         gains: dict[str, Judgement], rng: np.random.Generator) -> ShadowRow:
+         gains: dict[str, Judgement], weights: dict[str, float], rng: np.random.Generator) -> ShadowRow:
     found = [gains[attempts[i][0].id] for i in rows if attempts[i][0].id in gains]
     apart = sum(judged.windows[i] is not None for i in rows)
     known = bool(found) or not apart
-    change = expected_change(Sampled(len(rows), apart, [j.gain for j in found]), rng) if known else None
+    sampled = Sampled(len(rows), apart, [j.gain for j in found], [weights[j.episode] for j in found])
+    change = expected_change(sampled, rng) if known else None
     counted: Counter[Right] = Counter(j.verdict for j in found)
     return ShadowRow(stratum=name, attempts=len(rows), apart=apart, judged=len(found), right=dict(counted),
                      undecided=sum(not j.decided for j in found), change=_change(change) if change else None)
