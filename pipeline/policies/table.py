@@ -124,9 +124,10 @@ POLICIES: Mapping[str, PolicyKind] = MappingProxyType({
         "policies/training.py")),
     "act": PolicyKind(_load_act, _fit_act, _write_act, _export_act, _open_act, (
         "footage.py", "frames.py", "lerobot_view/augmenting.py", "lerobot_view/frame_cache.py",
-        "lerobot_view/frame_weights.py", "lerobot_view/samples.py", "lerobot_view/training_data.py", "policies/act_checkpoint.py",
-        "policies/act_export.py", "policies/act_net.py", "policies/act_training.py", "policies/ensembling.py",
-        "policies/export.py", "policies/network.py", "policies/optimiser.py", "policies/training.py"), sees=True),
+        "lerobot_view/frame_weights.py", "lerobot_view/samples.py", "lerobot_view/training_data.py",
+        "policies/act_checkpoint.py", "policies/act_export.py", "policies/act_net.py", "policies/act_training.py",
+        "policies/ensembling.py", "policies/export.py", "policies/network.py", "policies/optimiser.py",
+        "policies/training.py"), sees=True),
 })
 
 
