@@ -9,7 +9,7 @@ import typer
 def selftest(
     json: Annotated[Path | None, typer.Option(help="Write the result to this file as JSON.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Other episodes, and faults in other places and sizes.")] = 0,
-    referees: Annotated[bool, typer.Option("--referees", help="Ask tracecheck and baglint, too.")] = False,
+    referees: Annotated[bool, typer.Option("--referees", help="Ask checkers that others wrote, too.")] = False,
     keep: Annotated[Path | None, typer.Option(help="New folder in which clean and spoiled files stay.")] = None,
 ) -> None:
     """Plant known faults in recordings and datasets, and show which check catches each; 100 clean episodes must pass.

@@ -1,38 +1,29 @@
 """hardcase import: a foreign LeRobot dataset is checked, its episodes get ids by content and become a version."""
 
-import hashlib
 import json
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
-from typing import Any, cast
-
-import numpy as np
+from typing import Any
 
 from flows.consents import consents_now
 from flows.deriving import named_version
-from pipeline.arrow import pa, to_arrow
 from pipeline.check.folder import is_dataset
 from pipeline.errors import ConfigError, ConsentError, DatasetError, StoreError
-from pipeline.files import short_id
 from pipeline.frames import FeatureTable
 from pipeline.lerobot_view.agreement import features_in, refuse_others
 from pipeline.lerobot_view.clips import Clips
 from pipeline.lerobot_view.foreign import MEND, Foreign, read_foreign
 from pipeline.lerobot_view.foreign_video import ForeignFootage, footage_of, keep_copy, packets_of
 from pipeline.lerobot_view.manifest import load_version
-from pipeline.lerobot_view.split import DRAWN
 from pipeline.store import Store, store_root
 from schemas.consent import NO_CONSENT, Consent
 from schemas.contract import Contract
 from schemas.dataset import DatasetVersion
-from schemas.episode import Episode, Outcome, Segment
 from schemas.recipe import CameraConfig, DatasetConfig, Recipe
-from schemas.scene import SceneSpec
 from stages.build import build
 from stages.check import Item, check
+from stages.importing import identified, imported, slug
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,13 +117,9 @@ def _checked(folder: Path) -> list[str]:
 
 def _imported(store: Store, foreign: Foreign, order: ImportOrder, consent: Consent,
               warnings: list[str]) -> dict[str, Any]:
-    name = _slug(order.name or order.folder.resolve().name)
+    name = slug(order.name or order.folder.resolve().name)
     footage, packets = _footage(foreign)
-    ids = [_id(foreign, k, footage) for k in range(len(foreign))]
-    if len(set(ids)) < len(ids):
-        twice = next(k for k, id in enumerate(ids) if id in ids[:k])
-        raise DatasetError(f"episode {twice} is there twice", where=foreign.folder,
-                           mend="take one out: lerobot-edit-dataset, delete_episodes")
+    ids = identified(foreign, {place: one.digest for place, one in footage.items()})
     if gone := store.erased(ids):
         raise StoreError(f"episode {next(iter(gone))} was forgotten and does not come back", where=foreign.folder,
                          mend="take it out of the folder: lerobot-edit-dataset, delete_episodes")
@@ -142,9 +129,7 @@ def _imported(store: Store, foreign: Foreign, order: ImportOrder, consent: Conse
     if other := next((e for e in old.values() if e.consent != consent.id), None):
         raise StoreError(f"episode {other.id} is in the store with consent {other.consent!r}", where=foreign.folder,
                          mend=f"what is stored never changes: import with --consent {other.consent}")
-    blobs = dict(zip([id for id in ids if id not in old], store.put_blobs(
-        [_blob(foreign, k) for k, id in enumerate(ids) if id not in old]), strict=True))
-    episodes = [old.get(id) or _episode(foreign, k, id, blobs[id], consent) for k, id in enumerate(ids)]
+    episodes = imported(foreign, ids, consent, known=old, keep=store.put_blobs)
     copied = _copied(store, footage, packets)
     place = {id: k for k, id in enumerate(ids)}
     recipe = Recipe(name=name, robot=episodes[0].scene.robot, dataset=DatasetConfig(
@@ -180,47 +165,6 @@ def _copied(store: Store, footage: Mapping[tuple[int, str], ForeignFootage],
     clips = Clips(store.root)
     return sum(keep_copy(clips, one, packets[key], store.tmp / f"import-{one.digest[:16]}.mp4")
                for key, one in footage.items())
-
-
-def _id(foreign: Foreign, k: int, footage: Mapping[tuple[int, str], ForeignFootage]) -> str:
-    """Id of an episode by what it holds, whatever file it lies in and at which place."""
-    digest = hashlib.sha256()
-    for name, rows in foreign.frames(k).items():
-        digest.update(name.encode() + b"\0" + rows.tobytes())
-    videos = [f"{camera} {one.digest}" for (at, camera), one in footage.items() if at == k]
-    return short_id("imported", foreign.fps, foreign.info.get("robot_type"), json.dumps(foreign.features, default=list),
-                    foreign.task(k), foreign.label(k), digest.hexdigest(), *videos)
-
-
-def _blob(foreign: Foreign, k: int) -> bytes:
-    """The frames of one episode as an Arrow file of its own."""
-    table = pa.table({name: to_arrow(rows) for name, rows in foreign.frames(k).items()})
-    sink = pa.BufferOutputStream()
-    with pa.ipc.new_file(sink, table.schema) as writer:
-        writer.write_table(table)
-    return cast(bytes, sink.getvalue().to_pybytes())
-
-
-def _episode(foreign: Foreign, k: int, id: str, blob: str, consent: Consent) -> Episode:
-    length = int(foreign.episodes["length"][k])
-    over = foreign.taken_over(k)
-    edges = [0, *(np.flatnonzero(np.diff(over.astype(np.int8))) + 1).tolist(), length]
-    kinds = {True: "intervention", False: "autonomous" if over.any() else "demonstration"}
-    segments = [Segment.model_validate({"kind": kinds[bool(over[a])], "start": a, "stop": b, "actor": consent.operator})
-                for a, b in pairwise(edges)]
-    scene = SceneSpec(family="foreign", seed=DRAWN + int(id, 16) % DRAWN,
-                      robot=_slug(str(foreign.info.get("robot_type") or "unknown")), scene="elsewhere",
-                      task=_slug(foreign.task(k)), stratum="foreign", object_xy_m=(0, 0), object_yaw_rad=0,
-                      object_half_m=0, target_xy_m=(0, 0))
-    label = foreign.label(k)
-    return Episode(id=id, origin="imported", scene=scene, control_hz=foreign.fps, frames=length, generation=0,
-                   outcome=Outcome.model_validate({"label": label, "judged_by": "sensors"}), segments=tuple(segments),
-                   blob=blob, consent=consent.id)
-
-
-def _slug(text: str) -> str:
-    """A text as a name: lower case, digits, - and _."""
-    return re.sub(r"[^a-z0-9_]+", "-", text.lower()).strip("-_")[:64].strip("-_") or "imported"
 
 
 def _told(version: DatasetVersion, new: int, copied: int, encoded: int, warnings: Sequence[str]) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Collection, Generator, Sequence
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -14,9 +15,11 @@ from flows.selftest_material import make_material
 from pipeline.check.table import CHECKS
 from pipeline.errors import ConfigError
 from pipeline.files import atomic
+from pipeline.selftest.dataset_referees import DATASET_REFEREES, ask_dataset_referees
 from pipeline.selftest.judging import Result, run
 from pipeline.selftest.material import Judge, Seen
-from pipeline.selftest.referees import Asked, ask_referees, require_referees
+from pipeline.selftest.opinions import Asked
+from pipeline.selftest.referees import REFEREES, ask_referees
 from pipeline.selftest.table import FAULTS
 from schemas.contract import Contract
 from stages.check import Item, check
@@ -42,17 +45,20 @@ def run_selftest(*, seed: int = 0, out: Path | None = None, keep: Path | None = 
         HardcaseError: the material cannot be made, `keep` is not empty, or a referee is not installed.
     """
     if referees:
-        require_referees()
+        _require_referees()
     with _folder(keep) as folder, Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("recording clean episodes", total=None)
         material = make_material(folder / "clean", seed)
-        bar.update(task, total=len(material.clean) + 1 + len(FAULTS) * (1 + referees))
+        of_recordings = sum("dataset" not in fault.on for fault in FAULTS.values())
+        asking = (of_recordings + len(DATASET_REFEREES)) * referees
+        bar.update(task, total=len(material.clean) + 1 + len(FAULTS) + asking)
 
         def show(what: str) -> None:
             bar.update(task, description=what, advance=1)
 
         result = run(material, FAULTS, judge_with(names), folder / "planted", seed=seed, progress=show)
-        asked = ask_referees(material, result.planted, show) if referees else None
+        asked = (ask_referees(material, result.planted, show) | ask_dataset_referees(material, result.planted, show)
+                 if referees else None)
     if out is not None:
         with atomic(out) as stream:
             stream.write((json.dumps(as_json(result, asked), indent=1, ensure_ascii=False) + "\n").encode())
@@ -70,6 +76,14 @@ def judge_with(names: Collection[str]) -> Judge:
         done = check([Item(path, path.name, trusted=True) for path in paths], contract, names=names)
         return [Seen(c.verdict.findings if c.verdict else (), c.error.what if c.error else "") for c in done]
     return judge
+
+
+def _require_referees() -> None:
+    """Return when all referees are installed."""
+    packages = [*REFEREES, *(referee.package for referee in DATASET_REFEREES.values())]
+    if missing := [name for name in packages if find_spec(name) is None]:
+        raise ConfigError(f"not installed: {', '.join(missing)}", where="--referees",
+                          mend="install what the tests need: uv sync")
 
 
 @contextmanager

@@ -1,10 +1,12 @@
 """What the self-test says, for people and for machines."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
+from pipeline.selftest.dataset_referees import DATASET_REFEREES
 from pipeline.selftest.judging import Planted, Result
-from pipeline.selftest.referees import REFEREES, Asked, Opinion
+from pipeline.selftest.opinions import Asked
+from pipeline.selftest.referees import REFEREES
 
 
 def as_json(result: Result, asked: Asked | None) -> dict[str, Any]:
@@ -17,7 +19,7 @@ def as_json(result: Result, asked: Asked | None) -> dict[str, Any]:
         "rendered": result.rendered,
         "false_alarms": len(result.alarms),
         "alarms": [{"name": a.where.name, "said": a.said} for a in result.alarms],
-        **({} if asked is None else {"referee_alarms": asked.alarms}),
+        **({} if asked is None else {"referee_alarms": list(asked.alarms)}),
     }
 
 
@@ -26,16 +28,20 @@ def _fault(planted: Planted, asked: Asked | None) -> dict[str, Any]:
     told: dict[str, Any] = {"name": planted.name, "what": fault.what, "on": fault.on, "expected": list(fault.expect),
                             "caught_by": list(planted.caught_by), "also": list(planted.also), "said": planted.said}
     if asked is not None and planted.name in asked.planted:
-        told["referees"] = {name: list(o.reasons) if not o.passed else []
+        told["referees"] = {name: {"passed": o.passed, "reasons": list(o.reasons), "remarks": list(o.remarks)}
                             for name, o in asked.planted[planted.name].items()}
     return told
 
 
 def told(result: Result, asked: Asked | None) -> list[str]:
     """A line for each fault, one for each false alarm, then the sums."""
-    head = ["fault", "caught by", *(() if asked is None else REFEREES), "what it says"]
-    rows = [[p.name, ", ".join(p.caught_by) or "MISSED", *_opinions(p, asked), p.said] for p in result.planted]
-    lines = _aligned([head, *rows])
+    lines: list[str] = []
+    tables = (None,) if asked is None else (REFEREES, DATASET_REFEREES)
+    for referees in tables:
+        head = ["fault", "caught by", *(referees or ()), "what it says"]
+        rows = [[p.name, ", ".join(p.caught_by) or "MISSED", *_words(p, asked, referees or ()), p.said]
+                for p in result.planted if asked is None or ("dataset" in p.fault.on) == (referees is DATASET_REFEREES)]
+        lines += [*([""] if lines else []), *_aligned([head, *rows])]
     lines += [f"FALSE ALARM  {a.where.parent.name}/{a.where.name}: {a.said}" for a in result.alarms]
     lines += [f"REFEREE  {alarm}" for alarm in (asked.alarms if asked is not None else ())]
     pictures = "rendered" if result.rendered else "drawn, because nothing renders here (hardcase doctor)"
@@ -44,15 +50,8 @@ def told(result: Result, asked: Asked | None) -> list[str]:
             f"{result.clean_datasets} clean datasets; pictures were {pictures}"]
 
 
-def _opinions(planted: Planted, asked: Asked | None) -> list[str]:
-    if asked is None:
-        return []
-    given = asked.planted.get(planted.name)
-    return [_word(given[name]) if given else "" for name in REFEREES]
-
-
-def _word(opinion: Opinion) -> str:
-    return "-" if opinion.passed else ", ".join(reason.split()[0] for reason in opinion.reasons)
+def _words(planted: Planted, asked: Asked | None, referees: Iterable[str]) -> list[str]:
+    return [asked.planted[planted.name][name].word for name in referees] if asked is not None else []
 
 
 def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:

@@ -74,7 +74,7 @@ def make_material(folder: Path, seed: int) -> Material:
     }
     contract = _contract([path for kind in ("demonstrated", "succeeded", "failed") for path in clean[kind][:2]])
     contracts: dict[Kind, Contract] = dict.fromkeys(clean, contract)
-    contracts |= {"filmed": _contract(films[:2]), "dataset": Contract(), "film dataset": Contract()}
+    contracts |= {"filmed": _contract(films[:2]), "dataset": _contract(clean["dataset"]), "film dataset": Contract()}
     return Material(clean, contracts, rendered)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.files import short_id
-from pipeline.selftest.material import Fault, Judge, Material, Seen, Site
+from pipeline.selftest.material import REFUSED, Fault, Judge, Material, Seen, Site
 from schemas.contract import Contract
 
 PLANTS = 3
@@ -83,7 +83,7 @@ def run(material: Material, faults: Mapping[str, Fault], judge: Judge, folder: P
         before |= zip(paths, seen, strict=True)
         alarms += [Alarm(path, _first(s)) for path, s in zip(paths, seen, strict=True) if s.errors or s.refused]
     progress("clean, without a contract")
-    everything = [path for kind, paths in material.clean.items() for path in paths if "dataset" not in kind]
+    everything = [path for paths in material.clean.values() for path in paths]
     alarms += [Alarm(path, _first(s)) for path, s in zip(everything, judge(everything, Contract()), strict=True)
                if s.errors or s.refused]
     planted: list[Planted] = []
@@ -115,8 +115,8 @@ def _judged(name: str, fault: Fault, sites: list[Site], judge: Judge, contract: 
         seen = judge([site.clean, site.out] if fault.beside else [site.out], contract)[-1]
         known = {f.check for f in before[site.clean].errors}
         new = [f for f in seen.errors if f.check not in known]
-        each.append({f.check for f in new})
-        said = said or next((f.line() for f in new if f.check in fault.expect), "")
+        each.append({f.check for f in new} | ({REFUSED} if seen.refused else set()))
+        said = said or next((f.line() for f in new if f.check in fault.expect), seen.refused)
         if not each[-1] & set(fault.expect):
             instead = f"{site.clean.name}: {_first(seen) or 'nothing was found'}"
     caught = tuple(check for check in fault.expect if all(check in found for found in each))

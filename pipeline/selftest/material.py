@@ -14,6 +14,9 @@ type Kind = Literal["demonstrated", "succeeded", "failed", "coarse", "corrected"
 """Scripted successes; attempts of a policy on a twin that succeeded or failed; attempts read through coarse encoders;
 failures that were corrected; demonstrations with two cameras; dataset versions; datasets with two cameras."""
 
+REFUSED = "refused"
+"""What stands for a check where a file or folder cannot be read at all, and is named with the reason."""
+
 
 @dataclass(frozen=True, slots=True)
 class Material:

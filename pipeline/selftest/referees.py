@@ -5,7 +5,6 @@ import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import MappingProxyType
@@ -13,10 +12,10 @@ from typing import Any
 
 import yaml
 
-from pipeline.errors import ConfigError
 from pipeline.selftest.judging import Planted
 from pipeline.selftest.log import Log
 from pipeline.selftest.material import Kind, Material
+from pipeline.selftest.opinions import Asked, Opinion
 
 RATE_OFF = 0.1
 """Share that a topic's rate may be off."""
@@ -26,15 +25,6 @@ STEADY = 16
 """Messages from which on a topic is held to a rate."""
 TIMEOUT_S = 60.0
 PASSED, FOUND = 0, 1
-
-
-@dataclass(frozen=True, slots=True)
-class Opinion:
-    """What a referee says of one file."""
-
-    passed: bool
-    reasons: tuple[str, ...]
-    """Codes of its findings; ('refused',) where it cannot read the file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,21 +114,6 @@ CLEAN_EACH = 2
 """Clean recordings of each kind that referees are asked about."""
 
 
-@dataclass(frozen=True, slots=True)
-class Asked:
-    """What referees say of planted and of clean recordings; of datasets they know nothing."""
-
-    planted: Mapping[str, Mapping[str, Opinion]]
-    """Fault -> referee -> what it says of the first file that the fault was planted in."""
-    clean: Mapping[Path, Mapping[str, Opinion]]
-
-    @property
-    def alarms(self) -> list[str]:
-        """Clean recordings of ours that a referee finds something wrong with."""
-        return [f"{referee} on {path.parent.name}/{path.name}: {', '.join(opinion.reasons)}"
-                for path, opinions in self.clean.items() for referee, opinion in opinions.items() if not opinion.passed]
-
-
 def ask_referees(material: Material, planted: Sequence[Planted], progress: Callable[[str], None]) -> Asked:
     """Ask every referee about every planted recording and about clean ones of each kind."""
     kinds: list[Kind] = [kind for kind in material.clean if "dataset" not in kind]
@@ -149,19 +124,13 @@ def ask_referees(material: Material, planted: Sequence[Planted], progress: Calla
         if fault.fault.on in kinds:
             progress(f"referees: {fault.name}")
             found[fault.name] = _opinions(fault.files[0], expected[fault.fault.on])
-    return Asked(found, clean)
+    return Asked(found, tuple(
+        f"{referee} on {path.parent.name}/{path.name}: {', '.join(opinion.reasons)}"
+        for path, opinions in clean.items() for referee, opinion in opinions.items() if not opinion.passed))
 
 
 def _opinions(path: Path, expected: Expected) -> dict[str, Opinion]:
     return {name: ask(path, expected) for name, ask in REFEREES.items()}
-
-
-def require_referees() -> None:
-    """Raise ConfigError unless all referees are installed."""
-    missing = [name for name in REFEREES if find_spec(name) is None]
-    if missing:
-        raise ConfigError(f"not installed: {', '.join(missing)}", where="--referees",
-                          mend="install what the tests need: uv sync, or pip install backplane-tracecheck baglint")
 
 
 def _run(module: str, *arguments: object) -> "subprocess.CompletedProcess[str]":

@@ -51,8 +51,13 @@ def absolute_actions(data: Dataset, rng: Rng) -> None:
 
 def duplicate(data: Dataset, rng: Rng) -> None:
     """One training episode is another one once more, under its own number and lineage."""
+    _overlay(data, *_two_of_training(data, rng))
+
+
+def _two_of_training(data: Dataset, rng: Rng) -> tuple[int, int]:
     train = [k for k, split in enumerate(data.column("split")) if split == "train"]
-    _overlay(data, *(train[int(i)] for i in rng.choice(len(train), 2, replace=False)))
+    one, other = (train[int(k)] for k in rng.choice(len(train), 2, replace=False))
+    return one, other
 
 
 def leak_by_content(data: Dataset, rng: Rng) -> None:
@@ -62,13 +67,13 @@ def leak_by_content(data: Dataset, rng: Rng) -> None:
     _overlay(data, int(rng.choice(train)), int(rng.choice(held)))
 
 
-def _overlay(data: Dataset, source: int, target: int) -> None:
-    """Lay one episode over another one, as far as both go."""
+def _overlay(data: Dataset, source: int, target: int, *, late: int = 0) -> None:
+    """Lay one episode, from its row `late` on, over another one, as far as both go."""
     one, other = data.parts()[source], data.parts()[target]
-    n = min(one.stop - one.start, other.stop - other.start)
+    n = min(one.stop - one.start - late, other.stop - other.start)
     for name in NUMBERS:
         rows = data.rows[name].copy()
-        rows[other.start:other.start + n] = rows[one.start:one.start + n]
+        rows[other.start:other.start + n] = rows[one.start + late:one.start + late + n]
         data.rows[name] = rows
     data.measure()
 
@@ -92,7 +97,7 @@ def old_statistics(data: Dataset, rng: Rng) -> None:
     """The statistics were taken before the last third of the rows was added."""
     whole = data.rows
     data.rows = {name: rows[:len(rows) * 2 // 3] for name, rows in whole.items()}
-    data.measure()
+    data.measure(each=False)
     data.rows = whole
 
 
@@ -126,3 +131,56 @@ def other_order(data: Dataset, rng: Rng) -> None:
     data.info["features"][ACTION]["names"] = [names[-1], *names[:-1]]
     data.rows[ACTION] = np.roll(data.rows[ACTION], 1, axis=1)
     data.measure()
+
+
+def near_duplicate(data: Dataset, rng: Rng) -> None:
+    """One training episode is another one through a text file with four digits."""
+    source, target = _two_of_training(data, rng)
+    one, other = data.parts()[source], data.parts()[target]
+    for name, rows in data.rows.items():
+        laid = rows[one].round(4) if name in NUMBERS else rows[one]
+        kept = rows[other][:1] if name == "episode_index" else laid
+        data.rows[name] = np.concatenate([rows[:other.start], np.broadcast_to(kept, laid.shape), rows[other.stop:]])
+    data.count(target, one.stop - one.start)
+
+
+def late_duplicate(data: Dataset, rng: Rng) -> None:
+    """One training episode is another one without its first 0.5 s."""
+    one, other = _two_of_training(data, rng)
+    _overlay(data, one, other, late=10)
+
+
+def hole(data: Dataset, rng: Rng) -> None:
+    """Ten rows of one episode were left out, and every total says so; only their numbers and times have a hole."""
+    part = data.parts()[1]
+    start = part.start + (part.stop - part.start) // 2
+    data.rows = {name: np.delete(rows, slice(start, start + 10), axis=0) for name, rows in data.rows.items()}
+    data.count(1, part.stop - part.start - 10)
+
+
+def uneven_times(data: Dataset, rng: Rng) -> None:
+    """Times are those of a clock that was late by up to 20 ms, not those of the control tick."""
+    late = rng.uniform(0, 0.02, data.rows["timestamp"].shape)
+    data.rows["timestamp"] = (data.rows["timestamp"] + late).astype(np.float32)
+    data.measure()
+
+
+def doubled_row(data: Dataset, rng: Rng) -> None:
+    """One row is there twice; every total counts it."""
+    row = _inside_second(data, rng)
+    data.rows = {name: np.insert(rows, row, rows[row], axis=0) for name, rows in data.rows.items()}
+    data.count(1, data.column("length")[1] + 1)
+
+
+def exchanged_rows(data: Dataset, rng: Rng) -> None:
+    """Two rows that follow each other are in the wrong order, their numbers with them."""
+    row = _inside_second(data, rng)
+    order = np.arange(len(data.rows["index"]))
+    order[row:row + 2] = row + 1, row
+    data.rows = {name: rows[order] for name, rows in data.rows.items()}
+
+
+def _inside_second(data: Dataset, rng: Rng) -> int:
+    """A row of the second episode, neither its first nor its last."""
+    lengths: list[int] = data.column("length")
+    return lengths[0] + int(rng.integers(1, lengths[1] - 1))

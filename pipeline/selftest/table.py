@@ -1,16 +1,17 @@
 """FAULTS: every planted fault by name, what it is, what it is planted in, and which checks are meant for it."""
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 
-from pipeline.lerobot_view.layout import STATS
-from pipeline.selftest import cameras, clocks, files, labels, messages, rows, values, video
+from pipeline.lerobot_view.layout import MANIFEST, STATS
+from pipeline.selftest import cameras, clocks, files, labels, measured_rows, messages, rows, values, video
 from pipeline.selftest.dataset import Dataset
 from pipeline.selftest.log import Log
-from pipeline.selftest.material import Fault, Kind, Site
+from pipeline.selftest.material import REFUSED, Fault, Kind, Site
 
 type Rng = np.random.Generator
 
@@ -57,6 +58,24 @@ def _edited(site: Site) -> None:
     Dataset(site.clean, site.out)
     text = (site.out / STATS).read_text()
     (site.out / STATS).write_text(text.replace("\n", "\n ", 1))
+
+
+def _other_task(site: Site) -> None:
+    """It was collected for another task than the policy will be judged by."""
+    data = Dataset(site.clean, site.out)
+    path = site.out / MANIFEST
+    manifest = json.loads(path.read_text())
+    manifest["recipe"]["task"] = "stack"
+    path.write_text(json.dumps(manifest))
+    data.write()
+
+
+def _cut(site: Site) -> None:
+    """The copy of a data file broke off after 60 to 90 % of its bytes."""
+    Dataset(site.clean, site.out)
+    file = next(site.out.rglob("data/**/*.parquet"))
+    data = file.read_bytes()
+    file.write_bytes(data[:int(site.rng.uniform(0.6, 0.9) * len(data))])
 
 
 FAULTS: MappingProxyType[str, Fault] = MappingProxyType({
@@ -139,10 +158,34 @@ FAULTS: MappingProxyType[str, Fault] = MappingProxyType({
     "dataset-wrong-robot": _rows(rows.other_robot, "of another robot", "evaluation"),
     "dataset-wrong-rate": _rows(rows.other_rate, "25 rows a second instead of 20", "evaluation"),
     "other-order": _rows(rows.other_order, "the gripper comes first in the action", "evaluation"),
+    "dataset-nan-action": _rows(measured_rows.nan_action, "one action is NaN", "finite"),
+    "dataset-frozen-joint": _rows(measured_rows.frozen_joint, "a joint repeats its last reading for 1.4 s", "frozen"),
+    "dataset-state-lag": _rows(measured_rows.late_states, "measurements are 8 rows old", "lag"),
+    "dataset-degrees-command": _rows(measured_rows.degrees_commanded, "joints commanded in degrees", "units"),
+    "dataset-millimetres-finger": _rows(measured_rows.finger_in_millimetres, "finger opening in millimetres", "units"),
+    "dataset-millimetres-tool": _rows(measured_rows.tool_in_millimetres, "tool position in millimetres", "units"),
+    "dataset-spike": _rows(measured_rows.spike, "one reading jumps by 0.15 to 0.3 rad", "spikes"),
+    "dataset-beyond-limits": _rows(measured_rows.beyond_limits, "a slipped zero: readings beyond a limit", "limits"),
+    "dataset-near-duplicate": _rows(rows.near_duplicate, "a training episode again, with four digits", "duplicates"),
+    "dataset-late-duplicate": _rows(rows.late_duplicate, "a training episode again, without its first 0.5 s",
+                                    "duplicates"),
+    "dataset-gap": _rows(rows.hole, "10 rows left out, all totals agreeing", "tables"),
+    "dataset-jitter": _rows(rows.uneven_times, "times off the tick by up to 20 ms", "tables"),
+    "dataset-doubled-row": _rows(rows.doubled_row, "one row is there twice, all totals agreeing", "tables"),
+    "dataset-exchanged-rows": _rows(rows.exchanged_rows, "two rows in the wrong order", "tables"),
+    "dataset-wrong-task": Fault("of another task", "dataset", _other_task, ("evaluation",)),
+    "dataset-truncated": Fault("a data file ends after 60 to 90 %", "dataset", _cut, (REFUSED,)),
     "changed-version": Fault("edited after it was built", "dataset", _edited, ("tables",)),
     "video-dropped": _video(video.spoiled(video.dropped), "an encoder dropped three pictures", "frames"),
     "video-black": _video(video.spoiled(video.black), "10 black pictures in a video", "black-camera"),
     "video-late": _video(video.spoiled(video.late), "a video 8 frames late", "shifted-video"),
+    "video-early": _video(video.spoiled(video.early), "a video 8 frames early", "shifted-video"),
+    "video-frozen": _video(video.spoiled(video.frozen), "the same picture for 1 s in a video", "frozen-camera"),
+    "video-dying": _video(video.spoiled(video.ends_early), "a video ends at 60 to 80 %", "frames"),
+    "video-gone": _video(video.gone, "a video is missing", REFUSED),
+    "video-truncated": _video(video.cut, "a video file ends after 60 to 90 %", REFUSED, "frames", "black-camera"),
+    "video-swapped-on-the-way": _video(video.swapped_on_the_way, "two cameras change places in between",
+                                       "swapped-cameras"),
     "video-swapped": _video(video.swapped, "two cameras exchanged in one episode", "swapped-cameras"),
 })
 """Fault -> how it is planted and who should notice. Add one: a function that changes a log, and an entry here."""

@@ -84,7 +84,7 @@ def spoiled(change: Callable[[Frames, Rng], Frames]) -> Callable[[Path, Path, Rn
     """A planter: the video of one camera in one episode is encoded anew, changed."""
     def plant(clean: Path, folder: Path, rng: Rng) -> None:
         shutil.copytree(clean, folder, copy_function=shutil.copyfile)
-        path = video_of(folder, str(rng.choice(FEATURES)), int(rng.integers(_episodes(folder))))
+        path = _any_video(folder, rng)
         encode(path, change(decode(path), rng), _fps(folder))
     return plant
 
@@ -97,6 +97,35 @@ def swapped(clean: Path, folder: Path, rng: Rng) -> None:
     aside = one.rename(one.with_suffix(".aside"))
     other.rename(one)
     aside.rename(other)
+
+
+def swapped_on_the_way(clean: Path, folder: Path, rng: Rng) -> None:
+    """In one episode the two cameras change places in the middle."""
+    shutil.copytree(clean, folder, copy_function=shutil.copyfile)
+    episode = int(rng.integers(_episodes(folder)))
+    files = [video_of(folder, feature, episode) for feature in FEATURES]
+    one, other = (decode(file) for file in files)
+    half = len(one) // 2
+    encode(files[0], np.concatenate([one[:half], other[half:]]), _fps(folder))
+    encode(files[1], np.concatenate([other[:half], one[half:]]), _fps(folder))
+
+
+def gone(clean: Path, folder: Path, rng: Rng) -> None:
+    """One video was not copied."""
+    shutil.copytree(clean, folder, copy_function=shutil.copyfile)
+    _any_video(folder, rng).unlink()
+
+
+def cut(clean: Path, folder: Path, rng: Rng) -> None:
+    """One video ends after 60 to 90 % of its bytes: a copy that broke off."""
+    shutil.copytree(clean, folder, copy_function=shutil.copyfile)
+    path = _any_video(folder, rng)
+    data = path.read_bytes()
+    path.write_bytes(data[:int(rng.uniform(0.6, 0.9) * len(data))])
+
+
+def _any_video(folder: Path, rng: Rng) -> Path:
+    return video_of(folder, str(rng.choice(FEATURES)), int(rng.integers(_episodes(folder))))
 
 
 def dropped(frames: Frames, rng: Rng) -> Frames:
@@ -114,6 +143,23 @@ def black(frames: Frames, rng: Rng) -> Frames:
 def late(frames: Frames, rng: Rng) -> Frames:
     """Every row shows the picture of 8 rows before."""
     return np.concatenate([np.repeat(frames[:1], LAG, axis=0), frames[:-LAG]])
+
+
+def early(frames: Frames, rng: Rng) -> Frames:
+    """Every row shows the picture of 8 rows later."""
+    return np.concatenate([frames[LAG:], np.repeat(frames[-1:], LAG, axis=0)])
+
+
+def frozen(frames: Frames, rng: Rng) -> Frames:
+    """The same picture for 1 s, while the arm moves."""
+    still, start = frames.copy(), int(rng.integers(3, max(4, len(frames) // 2 - 10)))
+    still[start:start + 21] = frames[start]
+    return still
+
+
+def ends_early(frames: Frames, rng: Rng) -> Frames:
+    """The camera died when 60 to 80 % of the attempt were over."""
+    return frames[:int(rng.uniform(0.6, 0.8) * len(frames))]
 
 
 def _episodes(folder: Path) -> int:

@@ -2,15 +2,22 @@
 
 import json
 import shutil
+from datetime import date
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from flows.browse_making import Making
+from flows.browse_material import Showing
+from pipeline.lerobot_view.foreign import read_foreign
 from pipeline.lerobot_view.manifest import load_version
 from pipeline.store import Store
+from schemas.consent import Consent
 from stages.build import build
+from stages.importing import identified
+from stages.importing import imported as imported_as
 
 
 @pytest.fixture
@@ -104,6 +111,46 @@ def test_a_foreign_dataset_comes_in_with_its_frames(version, store, foreign, agr
     assert {(e.origin, e.consent) for e in store.episodes(made.episodes)} == {("imported", "form-1")}
 
 
+def test_an_episode_is_known_again_by_what_it_holds_wherever_it_lies(foreign, tmp_path):
+    shutil.copytree(foreign, tmp_path / "elsewhere")
+    ids = identified(read_foreign(foreign), {})
+    assert ids == identified(read_foreign(tmp_path / "elsewhere"), {}) and len(set(ids)) == 6
+    seen = identified(read_foreign(foreign), {(2, "front"): "pictures"})
+    assert [a == b for a, b in zip(ids, seen, strict=True)] == [True, True, False, True, True, True]
+    change(foreign / "data/chunk-000/file-000.parquet", "action", row=31, by=1e-3)
+    assert [a == b for a, b in zip(ids, identified(read_foreign(foreign), {}), strict=True)].count(False) == 1
+
+
+def test_only_episodes_that_are_new_are_stored(foreign):
+    found, kept = read_foreign(foreign), []
+    ids = identified(found, {})
+    consent = Consent(id="form-1", operator="ada", site="lab", purposes=("training",), given=date(2026, 1, 1),
+                      expires=date(2999, 1, 1))
+
+    def keep(files):
+        kept.extend(files)
+        return [f"{k:064x}" for k in range(len(kept))]
+
+    first = imported_as(found, ids, consent, known={}, keep=keep)
+    assert [(e.id, e.frames, e.segments[0].actor) for e in first] == [(id, 30 + k, "ada") for k, id in enumerate(ids)]
+    assert pa.ipc.open_file(kept[3]).read_all().num_rows == 33 and len(kept) == 6
+    kept.clear()
+    again = imported_as(found, ids, consent, known={e.id: e for e in first[:4]}, keep=keep)
+    assert again[:4] == first[:4] and len(kept) == 2
+
+
+def test_an_imported_episode_can_be_browsed(store, foreign, agreed, run):
+    told = imported(run, foreign, "--consent", agreed)
+    episode = store.episodes(store.version(told["version"]).episodes)[1]
+    made = Making(store).episode(episode)
+    assert made.entry.layers["base"].stat().st_size > 0 and made.robot == "arm"
+    shown, _ = Showing(store).episode(episode)
+    theirs = pq.read_table(foreign / "data/chunk-000/file-000.parquet").slice(30, 31)
+    recorded = np.stack(theirs.column("observation.state").to_pylist())[:, 2]
+    np.testing.assert_array_equal(shown.lines["joints/joint3/state"], recorded)
+    assert len(shown) == 31 and shown.states == {"who": {0: "demonstration (ada)"}}
+
+
 def test_importing_twice_adds_nothing(store, foreign, agreed, run):
     first = imported(run, foreign, "--consent", agreed)
     before = len(store.episodes()), len(store.versions()), sorted(p.name for p in (store.root / "blobs").iterdir())
@@ -162,12 +209,16 @@ def older(folder):
 
 
 def not_finite(folder):
-    file = folder / "data/chunk-000/file-000.parquet"
+    change(folder / "data/chunk-000/file-000.parquet", "action", row=7, by=np.nan)
+
+
+def change(file, name, *, row, by):
+    """Add something to one value of a data file."""
     table = pq.read_table(file)
-    rows = np.array(table.column("action").to_pylist(), np.float32)
-    rows[7, 2] = np.nan
+    rows = np.array(table.column(name).to_pylist(), np.float32)
+    rows[row, 2] += by
     flat = pa.FixedSizeListArray.from_arrays(pa.array(rows.ravel()), rows.shape[1])
-    pq.write_table(table.set_column(table.column_names.index("action"), "action", flat), file)
+    pq.write_table(table.set_column(table.column_names.index(name), name, flat), file)
 
 
 @pytest.mark.parametrize(("spoil", "words", "line"), [

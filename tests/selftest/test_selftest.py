@@ -10,7 +10,7 @@ from pipeline.check.table import CHECKS
 from pipeline.errors import ConfigError
 from pipeline.selftest.judging import run
 from pipeline.selftest.log import Log
-from pipeline.selftest.material import Material
+from pipeline.selftest.material import REFUSED, Material
 from pipeline.selftest.table import FAULTS
 from schemas.contract import Contract
 
@@ -37,7 +37,7 @@ def test_it_says_what_caught_what(tested):
 
 
 def test_every_check_has_a_fault_that_it_is_meant_for():
-    assert set(CHECKS) == {check for fault in FAULTS.values() for check in fault.expect}
+    assert {*CHECKS, REFUSED} == {check for fault in FAULTS.values() for check in fault.expect}
 
 
 @pytest.fixture
