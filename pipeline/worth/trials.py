@@ -18,7 +18,6 @@ import numpy as np
 import pipeline
 from pipeline.files import atomic, short_id, source_hash
 from pipeline.lerobot_view.training_data import TrainingData
-from pipeline.policies.onnx_policy import OnnxPolicy
 from pipeline.policies.table import policy_kind
 from pipeline.worth.trial import Played, play
 from schemas.recipe import Recipe, TrainConfig
@@ -103,7 +102,7 @@ def _one(trial: Trial, recipe: Recipe, scenes: Sequence[SceneSpec], file: Path) 
     fitted = kind.fit(trial.data, recipe.train, trial.seed, resume_from=None, checkpoints=None, progress=None)
     with TemporaryDirectory(prefix="hardcase-") as folder:
         kind.export(fitted, Path(folder) / "policy.onnx")
-        played = play(OnnxPolicy(Path(folder) / "policy.onnx"), scenes, recipe.harvest)
+        played = play(kind.open(Path(folder) / "policy.onnx"), scenes, recipe.harvest)
     with atomic(file) as stream:
         stream.write(json.dumps({"solved": "".join("01"[int(s)] for s in played.solved),
                                  "families": played.families}).encode())

@@ -1,0 +1,73 @@
+"""`hardcase worth` as a person types it, and what was cut off."""
+
+import json
+
+import pytest
+
+from pipeline.store import Store
+from pipeline.worth import trials
+from schemas.worth import BatchWorth
+
+SMALL = ("--seeds", 1, "--scenes", 20)
+
+
+@pytest.fixture
+def version(root):
+    with Store.open(root) as store:
+        return next(v for v in store.versions() if v.parent)
+
+
+def test_what_the_last_lap_added_is_judged_and_the_verdict_kept(root, version, hardcase):
+    code, out, _ = hardcase("worth", *SMALL)
+    assert code == 0 and out.startswith("INCONCLUSIVE: ") and "1 seed, indicative" in out
+    assert "what lap 1 added" in out and "3 corrected" in out
+    with Store.open(root) as store:
+        (kept,) = store.worths()
+        assert kept.version == version.id and len(kept.episodes) == len(version.episodes) - 13
+    code, told, _ = hardcase("why", kept.id)
+    assert code == 0 and "INCONCLUSIVE" in told and version.id in told
+    code, told, _ = hardcase("why", version.id)
+    assert f"{kept.id} INCONCLUSIVE" in told
+
+
+def test_a_query_and_named_episodes_choose_a_batch_and_json_holds_the_whole_verdict(root, version, hardcase):
+    code, out, _ = hardcase("worth", 1, "--where", "source == corrected", *SMALL, "--json")
+    asked = BatchWorth.model_validate_json(out)
+    assert code == 0 and len(asked.episodes) == 3 and asked.parts[0].name == "all"
+    words = [w for e in asked.episodes for w in ("--episode", e[:8])]
+    code, out, _ = hardcase("worth", version.id[:8], *words, *SMALL, "--json")
+    named = json.loads(out)
+    assert named["batch"] == asked.batch and named["parts"][0]["without"] == list(asked.parts[0].without)
+
+
+def test_finished_trainings_are_not_done_again_whatever_asks_for_them(root, hardcase, monkeypatch):
+    assert hardcase("worth", *SMALL)[0] == 0
+    done = {f: f.stat().st_mtime_ns for f in (root / "worth").iterdir()}
+    assert len(done) == 2
+    next(iter(done)).unlink()
+    trained = []
+    real = trials._one
+    monkeypatch.setattr(trials, "_one", lambda *words: (trained.append(words), real(*words)))
+    assert hardcase("worth", *SMALL)[0] == 0
+    assert len(trained) == 1
+    assert sum(f.stat().st_mtime_ns == done.get(f) for f in (root / "worth").iterdir()) == 1
+
+
+@pytest.mark.parametrize(("words", "told"), [
+    (("worth", 7), "mend: turn another lap: hardcase loop"),
+    (("worth", "--where", "source == teleop"), "mend: see what there is: hardcase datasets"),
+    (("worth", "--where", "frames > 0"), "mend: choose a part: hardcase worth VERSION --where"),
+    (("worth", "--where", "frames > 0", "--episode", "00000000"), "mend: give either --where or --episode"),
+    (("worth", "--episode", "00000000"), "mend: use one of: "),
+    (("worth", "ffffffffffffffff"), "mend: "),
+], ids=["no such lap", "a query without an answer", "the whole version", "asked and named", "a stranger",
+        "no such version"])
+def test_a_batch_that_cannot_be_judged_is_refused_with_a_mend(root, hardcase, words, told):
+    code, out, err = hardcase(*words)
+    assert code == 2 and told in err and "Traceback" not in err + out
+
+
+def test_without_a_store_it_says_how_to_begin_one(tmp_path, monkeypatch, hardcase):
+    monkeypatch.setenv("HARDCASE_STORE", str(tmp_path / "nowhere"))
+    code, _, err = hardcase("worth")
+    assert code == 2 and "begin one with `hardcase loop`" in err
