@@ -94,7 +94,8 @@ def _lap(steps: "Steps", g: int, exam: dict[str, Any]) -> Lap:
         candidate_exam=proportions(exam["results"][exam["candidate"]])["deployment_mix"],
         rewards={k: tuple(v) for k, v in champion["rewards"].items()},
         correction_success=wilson(sum(c.corrected for c in tried), len(tried)) if harvest and tried else None,
-        frames_by_source=frames, shadow_disagreement=_disagreement(steps, g))
+        frames_by_source=frames, shadow_disagreement=_disagreement(steps, g),
+        signals=(outputs(steps, g, "deploy") or {}).get("signals", {}))
 
 
 def _triggers(steps: "Steps", g: int) -> TriggerReport | None:

@@ -68,6 +68,9 @@ def deployed(run: ArmRun, generation: int) -> Made:
         "disagreement": [None if np.isnan(d) else round(float(d), 5) for d in done.disagreement]}
     if done.shadows:
         numbers["shadows"] = dict(done.shadows)
+    if done.signals:
+        numbers["signals"] = {name: {kind: [*values] for kind, values in kinds.items()}
+                              for name, kinds in done.signals.items()}
     flagged = sum(r.episode.outcome.label == "failure" for r in done.recorded)
     says = f"{flagged} of {len(done.recorded)} attempts flagged by the robot"
     return run.recorded(filmed(done.recorded, run.recipe, run.twin), says, numbers)

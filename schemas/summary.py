@@ -79,3 +79,5 @@ class Lap(Frozen):
     correction_success: Proportion | None = None
     frames_by_source: dict[str, int] = Field(default={})
     shadow_disagreement: tuple[float, float] | None = Field(default=None, description="mean on successes, on failures")
+    signals: dict[str, dict[str, tuple[float | None, ...]]] = Field(
+        default={}, description="signal of risk -> 'success' or 'failure' -> mean by tick over the deployed attempts")

@@ -12,6 +12,7 @@ from pipeline.disagreement import disagreement
 from pipeline.protocols import Array, Ids, Observation, Policy
 from pipeline.shadow.riders import Riders
 from pipeline.shadow.targets import joint_targets
+from pipeline.signals.curves import Curves, curves
 from pipeline.signals.neighbours import Neighbours
 from pipeline.signals.tick import Signals, plan_of
 from pipeline.simulation.recordings import Recorded, episode_id, record
@@ -43,6 +44,8 @@ class Deployed:
     """Mean disagreement of the first rider with the champion in each attempt, NaN without an answer, shape (n,)."""
     shadows: Mapping[str, str]
     """Candidate that rode along -> what became of it, see pipeline.shadow.riders.Riders.states."""
+    signals: Curves
+    """Signals of risk by tick, of attempts that succeeded and that failed; empty where nobody watched."""
 
 
 def deploy(policy: Policy, policy_id: str, recipe: Recipe, *, seed: int, twin: int, generation: int, folder: Path,
@@ -78,7 +81,8 @@ def deploy(policy: Policy, policy_id: str, recipe: Recipe, *, seed: int, twin: i
                 for i, (scene, trace) in enumerate(zip(scenes, traces, strict=True))]
     recorded = record(folder, world.setup, episodes, traces, config=recipe.harvest.model_dump(), software=software)
     return Deployed(tuple(recorded), result.success, float(result.ticks.sum() / world.control_hz),
-                    np.array([_mean_apart(t) for t in traces]), riders.states() if riders else {})
+                    np.array([_mean_apart(t) for t in traces]), riders.states() if riders else {},
+                    curves([t.signals for t in traces], ~result.success))
 
 
 def deploy_scenes(recipe: Recipe, *, seed: int, twin: int, generation: int) -> list[SceneSpec]:

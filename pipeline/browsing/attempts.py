@@ -31,6 +31,7 @@ def of_trace(episode: Episode, trace: Trace, attached: Mapping[str, bytes], *, s
             if np.isfinite(values[:, k]).all():
                 lines[f"{kind}/{name}"] = values[:, k]
     lines |= {f"rewards/{term}": value for term, value in trace.reward.items()}
+    lines |= {f"signals/{name}/{name}": value for name, value in trace.signals.items()}
     bodies = surroundings(episode.scene, xml)
     if trace.links:
         bodies += _recorded(episode, trace, attached)

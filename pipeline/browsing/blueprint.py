@@ -9,7 +9,7 @@ import rerun.blueprint as rrb
 from pipeline.browsing.episode import TIME
 from pipeline.browsing.outline import Outline
 
-PLOT_FOLDERS = ("joints", "hand", "action")
+PLOT_FOLDERS = ("joints", "hand", "action", "signals")
 """Folders in which every folder below is a plot of its own; any other folder is one plot."""
 CROWDED = 5
 """Attempts from which on only the first plot of a tab has a legend: it would hide the curves."""

@@ -46,12 +46,12 @@ class Row:
     """Reward term -> value."""
     shadows: Mapping[str, tuple[Vector, float]] = field(default_factory=dict[str, tuple[Vector, float]])
     """Policy that may not act -> joint targets it asked for, shape (7,), and its disagreement; see trace.Shadow."""
-    signals: Mapping[str, float] = field(default_factory=dict[str, float])
-    """What was computed of the risk, see pipeline.signals -> value, NaN where it is not known."""
     sim_state: Vector = field(default_factory=_NONE.copy)
     """mjSTATE_INTEGRATION before the action of the tick, shape (nstate,)."""
     controller: Vector = field(default_factory=_NONE.copy)
     """The rest of what a restore needs, shape (k,)."""
+    signals: Mapping[str, float] = field(default_factory=dict[str, float])
+    """What was computed of the risk, see pipeline.signals -> value, NaN where it is not known."""
 
     def vector(self) -> Vector:
         """Every number in one new array: the caller may go on writing into its own."""

@@ -12,6 +12,7 @@ from markupsafe import Markup
 from pipeline.report import figures, text
 from pipeline.report.data import ReportData, ShownCase
 from pipeline.report.headline import headline
+from pipeline.report.signals import signals
 
 HERE = Path(__file__).parent
 
@@ -47,7 +48,7 @@ def families(cases: Iterable[ShownCase]) -> list[tuple[str, list[ShownCase]]]:
 def _figures(data: ReportData) -> dict[str, list[Markup]]:
     return {"hero": [figures.hero(data)] if data.result.generations else [], "strata": figures.strata(data),
             "losses": figures.losses(data), "rewards": figures.rewards(data), "data": figures.data_made(data),
-            "failures": figures.failures(data), "times": figures.times(data)}
+            "failures": figures.failures(data) + signals(data), "times": figures.times(data)}
 
 
 def _digest(inline: str) -> str:

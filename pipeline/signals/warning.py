@@ -11,9 +11,9 @@ import numpy as np
 
 from pipeline.protocols import Array, Ids
 
-WEIGHTS: MappingProxyType[str, float] = MappingProxyType({"distance": 4.0, "revision": 1.9})
+WEIGHTS: MappingProxyType[str, float] = MappingProxyType({"distance": 4.18, "revision": 1.43})
 """Signal -> weight of the logarithm of its running mean. Fitted by `hardcase measure shadow` on twins 0-7."""
-BIAS = 0.0
+BIAS = -2.39
 """Same fit: champions of generation 0 at the deployment mix, and of generation 1 where half of the starts are rare."""
 ALARM, ALARM_TICKS = 0.5, 5
 """Warning above which an attempt is more likely to fail than not, and ticks in a row until that is believed."""
