@@ -75,3 +75,40 @@ def faces(
     from flows.faces_study import run_faces_study
 
     run_faces_study(threshold, json)
+
+
+@measure.command()
+def worth(seeds: Seeds = 8, recipe: RecipeName = "default", json: Json = None) -> None:
+    """Worth of the first harvest by 8 + 8 trainings a loop, beside what the exam says.
+
+    Example: hardcase measure worth --seeds 8 --json worth.json
+    """
+    from flows.worth_study import run_batches
+
+    run_batches(seeds=seeds, recipe=recipe, json=json)
+
+
+@measure.command()
+def poison(recipe: RecipeName = "default", json: Json = None) -> None:
+    """Poisoned batches before every door: the checks, the worth of the batch, the gate.
+
+    Example: hardcase measure poison --json poison.json
+    """
+    from flows.worth_study import run_poisons
+
+    run_poisons(recipe=recipe, json=json)
+
+
+@measure.command()
+def selection(
+    loops: Annotated[int, typer.Option(min=1, help="Loops whose first harvest is halved.")] = 1,
+    seeds: Annotated[int, typer.Option(min=1, help="Training seeds of each half.")] = 8,
+    recipe: RecipeName = "default", json: Json = None,
+) -> None:
+    """Half of a harvest kept by an influence score against half at random, against all and none of it.
+
+    Example: hardcase measure selection --loops 1 --seeds 8 --json selection.json
+    """
+    from flows.worth_study import run_selection
+
+    run_selection(loops=loops, seeds=seeds, recipe=recipe, json=json)

@@ -22,6 +22,7 @@ from pipeline.lerobot_view.training_data import TrainingData
 from pipeline.query import parse
 from pipeline.recipes import recipe_from
 from pipeline.store import Store, store_root
+from pipeline.worth.trials import PROCESSES
 from schemas.dataset import DatasetVersion
 from schemas.recipe import Recipe
 from schemas.worth import LEAST_SEEDS, BatchWorth, WorthPart
@@ -66,10 +67,8 @@ def run_worth(order: Order, *, as_json: bool) -> int:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     with Store.open(store_root()) as store, stage_bar("worth") as progress:
         batch = batch_of(store, order)
-        data = _data(store, batch)
         task = progress.add_task("worth", total=None)
-        found = worth(batch.version, data, batch.episodes, batch.recipe, says=batch.says, rare=batch.rare,
-                      seed=batch.seed, keep=store.root / FOLDER, seeds=order.seeds, scenes=order.scenes,
+        found = judge(store, batch, seeds=order.seeds, scenes=order.scenes,
                       progress=lambda done, total: progress.update(task, completed=done, total=total))
         store.add_worth(found)
     if as_json:
@@ -79,16 +78,23 @@ def run_worth(order: Order, *, as_json: bool) -> int:
     return int(found.hurts)
 
 
+def judge(store: Store, batch: Batch, *, seeds: int = LEAST_SEEDS, scenes: int = SCENES, processes: int = PROCESSES,
+          progress: Progress | None = None) -> BatchWorth:
+    """Retrain with a batch and without it; see stages.worth. The verdict is not kept yet."""
+    return worth(batch.version, data_of(store, batch), batch.episodes, batch.recipe, says=batch.says, rare=batch.rare,
+                 seed=batch.seed, keep=store.root / FOLDER, seeds=seeds, scenes=scenes, processes=processes,
+                 progress=progress)
+
+
 def judged_batch(run: ArmRun, generation: int, progress: Progress, *, seeds: int = LEAST_SEEDS) -> Made | None:
     """Judge what a lap added to its version; None where it added nothing.
 
     What hurts is left out of the next version, and a candidate that learnt from it is not released.
     """
-    batch = _of_lap(run, generation)
+    batch = of_lap(run, generation)
     if batch is None:
         return None
-    found = worth(batch.version, _data(run.store, batch), batch.episodes, run.recipe, says=batch.says, rare=batch.rare,
-                  seed=run.seed, keep=run.store.root / FOLDER, seeds=seeds, progress=progress)
+    found = judge(run.store, batch, seeds=seeds, progress=progress)
     run.store.add_worth(found)
     return Made((found.id,), f"{found.decision}: {found.reason}", _numbers(found), no_rows)
 
@@ -98,11 +104,11 @@ def indicated(run: ArmRun, generation: int) -> BatchWorth | None:
 
     It decides nothing and is kept nowhere: `1 seed, indicative`. None where the lap added nothing.
     """
-    batch = _of_lap(run, generation)
+    batch = of_lap(run, generation)
     if batch is None:
         return None
     policy = run.store.policy(run.candidate(generation))
-    return indicative(batch.version, _data(run.store, batch), batch.episodes, run.recipe, run.policy(policy.id),
+    return indicative(batch.version, data_of(run.store, batch), batch.episodes, run.recipe, run.policy(policy.id),
                       trained_with=policy.seed, says=batch.says, rare=batch.rare, seed=run.seed,
                       keep=run.store.root / FOLDER)
 
@@ -156,7 +162,8 @@ def _numbers(found: BatchWorth) -> dict[str, JsonValue]:
     return {"worth": found.id, "decision": found.decision, "points": round(100 * found.parts[0].difference, 2)}
 
 
-def _data(store: Store, batch: Batch) -> TrainingData:
+def data_of(store: Store, batch: Batch) -> TrainingData:
+    """The frames of the version that holds a batch; ConfigError where its policies do not see the state."""
     if batch.recipe.train.policy != "chunked":
         raise ConfigError("the worth of a batch is measured by policies that see the state, not by "
                           f"{batch.recipe.train.policy!r}", where=f"recipe {batch.recipe.name}: train.policy",
@@ -164,7 +171,8 @@ def _data(store: Store, batch: Batch) -> TrainingData:
     return TrainingData.load(store.path(batch.version.path), consents_now(store))
 
 
-def _of_lap(run: ArmRun, generation: int) -> Batch | None:
+def of_lap(run: ArmRun, generation: int) -> Batch | None:
+    """What a lap added to the version before; None where it added nothing."""
     version = run.material.version(generation)
     new = _new(run.store, version)
     rare = _harvested(run.store, run.run, generation)

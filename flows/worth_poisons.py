@@ -12,14 +12,18 @@ from flows.steps import Steps
 from pipeline.files import short_id
 from pipeline.frames import Frames
 from pipeline.lerobot_view.training_data import TrainingData
+from pipeline.policies.table import policy_kind
+from pipeline.simulation.evaluation import evaluate, gate_scenes
 from pipeline.simulation.tasks import load_task
 from pipeline.worth.poison import POISONS
 from schemas.contract import Contract
 from schemas.dataset import DatasetVersion
 from schemas.episode import Episode
 from schemas.recipe import Recipe
+from schemas.scene import SceneSpec
 from stages.build import build
 from stages.check import Item, check
+from stages.gate import gate
 
 type Scope = Literal["corrections", "everything new"]
 
@@ -48,6 +52,9 @@ class Poisoned:
     version: DatasetVersion
     data: TrainingData
     batch: tuple[str, ...]
+    """Everything that the lap added."""
+    poisoned: tuple[str, ...]
+    """What of it is poisoned."""
     recipe: Recipe
     check: str
 
@@ -78,7 +85,7 @@ def poisoned(steps: Steps, dose: Dose, seed: int) -> Poisoned:
         found = "not readable" if verdict is None else "passes" if verdict.passed else verdict.reason
         data = TrainingData.load(at, material.consents())
     batch = tuple(e for e in version.episodes if e in bad or e in fresh)
-    return Poisoned(version, data, batch, recipe, found)
+    return Poisoned(version, data, batch, tuple(e for e in batch if e in bad), recipe, found)
 
 
 def _frames(steps: Steps, bad: dict[str, Episode], poison: str, seed: int) -> Callable[[Episode], Frames]:
@@ -91,3 +98,22 @@ def _frames(steps: Steps, bad: dict[str, Episode], poison: str, seed: int) -> Ca
         return POISONS[poison](steps.material.frames(bad[episode.id]), task, rng)
 
     return get
+
+
+def gated(steps: Steps, bad: Poisoned) -> str:
+    """What the gate says of a candidate that learnt from a poisoned version, against the champion before that lap."""
+    recipe, champion = bad.recipe, steps.store.releases(steps.run)[0].policy
+    kind, candidate = policy_kind(recipe.train.policy), short_id("candidate", bad.version.id)
+    fitted = kind.fit(bad.data, recipe.train, 1000 * steps.seed + LAP, resume_from=None, checkpoints=None,
+                      progress=None)
+    rare = sorted({c.stratum for c in steps.store.hard_cases(run=steps.run) if c.generation < LAP} - {"common"})
+
+    def scenes(start: int, stop: int) -> list[SceneSpec]:
+        return gate_scenes(recipe.task, recipe.robot, recipe.scene, seed=steps.seed, generation=LAP, start=start,
+                           stop=stop, rare=rare, rare_share=recipe.gate.rare_share)
+
+    with TemporaryDirectory(prefix="hardcase-") as folder:
+        kind.export(fitted, Path(folder) / "policy.onnx")
+        policies = {candidate: kind.open(Path(folder) / "policy.onnx"), champion: steps.policy(champion)}
+        return gate(candidate, champion, generation=LAP, scenes=scenes, config=recipe.gate,
+                    evaluate=lambda p, s: evaluate(policies[p], s, threads=1).success).decision
