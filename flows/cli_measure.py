@@ -35,7 +35,7 @@ def shadow(seeds: Seeds = 8, recipe: RecipeName = "default", json: Json = None) 
 def counterfactual(
     seeds: Seeds = 8, recipe: RecipeName = "default", json: Json = None,
     pairs: Annotated[int, typer.Option(min=1, help="Pairs of policies a seed.")] = 3,
-    most: Annotated[int | None, typer.Option(min=1, help="Disagreements judged of a pair. [default: all]")] = None,
+    draws: Annotated[int, typer.Option(min=4, help="Draws of each policy at each disagreement.")] = 16,
     svg: Annotated[Path | None, typer.Option(help="Draw the scatter plot into this file.")] = None,
 ) -> None:
     """Change of success that judged disagreements foretell, against the change measured at the exam.
@@ -44,7 +44,7 @@ def counterfactual(
     """
     from flows.counterfactual_study import run_measure
 
-    run_measure(seeds=seeds, recipe=recipe, pairs=pairs, most=most, json=json, svg=svg)
+    run_measure(seeds=seeds, recipe=recipe, pairs=pairs, draws=draws, json=json, svg=svg)
 
 
 @measure.command()

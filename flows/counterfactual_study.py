@@ -43,7 +43,7 @@ class Pair:
     right: dict[str, int]
 
 
-def measure_counterfactual(*, seeds: int, recipe: str, pairs: int, most: int | None,
+def measure_counterfactual(*, seeds: int, recipe: str, pairs: int, draws: int,
                            say: Callable[[str], None]) -> dict[str, Any]:
     """Judge `pairs` pairs of policies of every seed, and hold each against the exam, on the same fresh starts.
 
@@ -51,14 +51,14 @@ def measure_counterfactual(*, seeds: int, recipe: str, pairs: int, most: int | N
         seeds: finished loops; the seed fixes the twin.
         recipe: name or path.
         pairs: drawn at random from deployed champions and all other policies of the seed's store, arms included.
-        most: disagreements judged of a pair, drawn at random; all where None.
+        draws: of each policy at each disagreement.
         say: told a line after every pair.
     """
     found: list[Pair] = []
     for seed in range(seeds):
         with finished_loop(recipe, seed) as steps:
             for generation, candidate in pairs_of(steps, pairs):
-                found.append(_pair(steps, seed, generation, candidate, most))
+                found.append(_pair(steps, seed, generation, candidate, draws))
                 say(_line(found[-1]))
     return {"pairs": [asdict(p) for p in found], "summary": {n: calibration(found, n) for n in ESTIMATES}}
 
@@ -74,9 +74,9 @@ def pairs_of(steps: Steps, count: int) -> list[tuple[int, str]]:
     return [every[k] for k in sorted(rng.choice(len(every), min(count, len(every)), replace=False).tolist())]
 
 
-def _pair(steps: Steps, seed: int, generation: int, candidate: str, most: int | None) -> Pair:
+def _pair(steps: Steps, seed: int, generation: int, candidate: str, draws: int) -> Pair:
     champion = str(steps.store.episode(steps.material.ids(generation, "deploy")[0]).policy)
-    report = judged_at(steps, generation, champion, candidate, JudgeConfig(most=most))[1]
+    report = judged_at(steps, generation, champion, candidate, JudgeConfig(draws=draws))[1]
     row, was = report.rows[0], measured(steps, champion, candidate)
     return Pair(seed, generation, champion, candidate, row.apart, row.judged, len(report.refusals),
                 _three(report.change), _three(report.from_start), _three(report.missed),
@@ -160,12 +160,12 @@ def draw(found: dict[str, Any], path: Path) -> None:
         stream.write(alone(chart, title).encode())
 
 
-def run_measure(*, seeds: int, recipe: str, pairs: int, most: int | None, json: Path | None, svg: Path | None) -> None:
+def run_measure(*, seeds: int, recipe: str, pairs: int, draws: int, json: Path | None, svg: Path | None) -> None:
     """Measure, print, and leave the files that were asked for."""
     from flows.measured import write_json
 
     console = Console(stderr=True)
-    found = measure_counterfactual(seeds=seeds, recipe=recipe, pairs=pairs, most=most, say=console.print)
+    found = measure_counterfactual(seeds=seeds, recipe=recipe, pairs=pairs, draws=draws, say=console.print)
     Console().print(table(found))
     write_json(json, found)
     if svg is not None:

@@ -17,7 +17,8 @@ class JudgeConfig(Frozen):
     threshold: float = Field(
         default=0.04, gt=0, description="disagreement from which two policies are apart, in scales of the action")
     lasting: int = Field(default=3, ge=1, description="ticks that it has to stay there")
-    draws: int = Field(default=16, ge=2, description="noise and physics draws of each policy")
+    draws: int = Field(
+        default=16, ge=4, description="noise and physics draws of each policy; fewer than 4 can decide nothing")
     most: int | None = Field(
         default=None, ge=1, description="moments judged, large disagreements more often; all where None")
     checked: int = Field(

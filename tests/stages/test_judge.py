@@ -58,7 +58,7 @@ def test_rows_by_stratum_add_up_to_the_row_of_all(report, attempts):
 
 
 def test_recordings_of_another_champion_are_refused(judged, learnt):
-    wrong = judged(champion=learnt.other, candidate=learnt.champion, config=JudgeConfig(draws=2, most=3, checked=0))
+    wrong = judged(champion=learnt.other, candidate=learnt.champion, config=JudgeConfig(draws=4, most=3, checked=0))
     assert not wrong.judgements and len(wrong.refusals) == 3
     assert all("does not give the recorded action" in r.reason for r in wrong.refusals)
     assert wrong.verdict == "hold" and wrong.change is None
