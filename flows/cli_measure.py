@@ -112,3 +112,17 @@ def selection(
     from flows.worth_study import run_selection
 
     run_selection(loops=loops, seeds=seeds, recipe=recipe, json=json)
+
+
+@measure.command()
+def act(
+    seeds: Seeds = 2, recipe: RecipeName = "act", json: Json = None,
+    first: Annotated[int, typer.Option(min=0, help="Number of the first seed.")] = 0,
+) -> None:
+    """A policy that sees on the held-out twins: variants re-rendered under looks of their own, or as they were.
+
+    Example: hardcase measure act --seeds 2 --json act.json
+    """
+    from flows.act_study import run_act_study
+
+    run_act_study(seeds=seeds, recipe=recipe, json=json, first=first)
