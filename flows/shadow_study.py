@@ -120,12 +120,13 @@ def _by_window(runs: Sequence[Sequence[Attempt]], name: str) -> dict[str, Any]:
 
 
 def _scores(run: Sequence[Attempt], name: str, window: int) -> Array:
-    """What a signal says at the end of a window, or of the attempt where that is earlier."""
+    """What a signal says at the end of a window, or of the attempt where that is earlier, to 12 places: equal means
+    of unequal numbers of ticks are ties."""
     if name == LENGTH:
         return np.array([float(min(len(a), window)) for a in run])
     if name == "warning":  # made of means already
-        return np.array([last_until(a.signals[name], window) for a in run])
-    return np.array([mean_until(a.signals[name], window) for a in run])
+        return np.round([last_until(a.signals[name], window) for a in run], 12)
+    return np.round([mean_until(a.signals[name], window) for a in run], 12)
 
 
 def _failed(run: Sequence[Attempt]) -> Any:

@@ -146,6 +146,11 @@ class RingRecorder:
         return self._error is not None or self._thin.failed or any(lap.recorder.failed for lap in self._laps)
 
     @property
+    def opening(self) -> bool:
+        """Whether the next file is still being opened; it takes milliseconds, and the control thread never waits."""
+        return self._next is not None and not self._next.done()
+
+    @property
     def dropped(self) -> dict[str, int]:
         """Topic -> messages that were lost so far in the files that are open."""
         found: dict[str, int] = {}
