@@ -68,7 +68,8 @@ class Hiding:
     def clips(self, plan: Plan, clips: ByCamera) -> tuple[ByCamera, dict[tuple[str, str], Seen]]:
         """The videos as they are released, and what was done to each, by episode and camera.
 
-        A video in which nothing is hidden is the same file as before.
+        A video in which nothing is hidden is the same file as before, unless the file holds more than the episode: what
+        was trimmed off is not handed out with what is left.
 
         Raises:
             ConfigError: a region does not fit the camera.
@@ -76,15 +77,30 @@ class Hiding:
         """
         made: dict[str, list[Clip]] = {camera: list(many) for camera, many in clips.items()}
         seen: dict[tuple[str, str], Seen] = {}
-        for camera, rule in self.map.cameras.items():
-            for k, (id, clip) in enumerate(zip(plan.ids, clips.get(camera, ()), strict=not rule.remove)):
+        for camera, many in clips.items():
+            rule = self.map.cameras.get(camera)
+            for k, (id, clip) in enumerate(zip(plan.ids, many, strict=True)):
                 here = regions_of(rule, id, height=clip.height, width=clip.width, frames=clip.frames,
-                                  where=f"redaction map, cameras.{camera}")
-                if here or rule.faces:
+                                  where=f"redaction map, cameras.{camera}") if rule is not None else Regions((), ())
+                faces, cut = rule is not None and rule.faces, _holds_more(clip)
+                if here or faces or cut:
                     self.progress(f"camera {camera}, episode {k + 1} of {len(plan.ids)}")
-                    looked = _Video(self, clip, here, rule.faces, f"episode {id}, camera {camera}")
+                    looked = _Video(self, clip, here, faces, cut, f"episode {id}, camera {camera}")
                     made[camera][k], seen[id, camera] = looked.released()
         return made, seen
+
+
+def _holds_more(clip: Clip) -> bool:
+    """Whether a file has pictures that the episode has not."""
+    import av
+    from av.error import FFmpegError
+
+    try:
+        with av.open(str(clip.file)) as container:
+            packets = sum(1 for packet in container.demux(container.streams.video[0]) if packet.size)
+    except (FFmpegError, IndexError) as error:
+        raise DatasetError(f"the video cannot be read: {error}", where=clip.file, mend="drop the episode") from error
+    return packets != clip.frames
 
 
 def code_hash() -> str:
@@ -101,6 +117,8 @@ class _Video:
     clip: Clip
     regions: Regions
     faces: bool
+    cut: bool
+    """Whether it is encoded in any case, because the file holds more than the episode."""
     where: str
 
     def released(self) -> tuple[Clip, Seen]:
@@ -129,7 +147,7 @@ class _Video:
         found = self._look(FIRST, self.clip) if self.faces else nothing
         hidden = covered(found, self.how.map.faces)
         seen = Seen(len(self.regions), sum(map(len, found)), sum(map(bool, found)), looks=int(self.faces))
-        made = self._encoded(key, hidden, frozenset()) if self.regions or any(hidden) else self.clip
+        made = self._encoded(key, hidden, frozenset()) if self.cut or self.regions or any(hidden) else self.clip
         if not self.faces:
             return made, seen
         # of a video that was not encoded the first look is known: it found nothing

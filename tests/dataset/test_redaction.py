@@ -14,13 +14,15 @@ import yaml
 from PIL import Image, ImageDraw
 
 from flows.consents import consents_now
+from pipeline.errors import DatasetError, StoreError
 from pipeline.lerobot_view.filmed import clips_in
 from pipeline.lerobot_view.manifest import load_version
 from pipeline.lerobot_view.video import decoded
+from pipeline.redaction.keys import FILE, public_pem, store_key
 from pipeline.store import Store
 from pipeline.store.erasure_plan import plan_erasure
 from schemas.consent import Consent
-from schemas.edits import Redact
+from schemas.edits import Drop, Redact
 from schemas.recipe import CameraConfig, DatasetConfig
 from schemas.redaction import RedactionMap
 from stages.build import build
@@ -285,6 +287,40 @@ def test_fields_of_some_episodes_leave_the_others_as_they_were(base, run, place)
     for camera in ("front", "top"):
         one, two = (clips_in(f)[demos[1].id, camera].file for f in (folder, place / "store" / version.path))
         assert one.samefile(two)
+
+
+def test_pictures_that_were_trimmed_off_are_not_handed_out(base, run, place):
+    """Also of a camera that the map does not name: its file would hold what was cut."""
+    (place / "task.yaml").write_text(yaml.safe_dump({"fields": {"task": "blank"}}))
+    version, demos = base
+    code, out, err = run("derive", version.id, "--trim", f"{demos[0].id}:0:5", "--trim", f"{demos[1].id}:3:7",
+                         "--redact", str(place / "task.yaml"), "--json")
+    assert code == 0, err
+    clips, old = (clips_in(place / "store" / p) for p in (json.loads(out)["path"], version.path))
+    for demo, kept in ((demos[0], slice(0, 5)), (demos[1], slice(3, 7))):
+        shown = np.stack(list(decoded(clips[demo.id, "top"].file))).astype(int)
+        before = np.stack(list(decoded(old[demo.id, "top"].file)))[kept].astype(int)
+        assert len(shown) == kept.stop - kept.start and np.abs(shown - before).mean() < 4
+    assert clips[demos[2].id, "top"].file.samefile(old[demos[2].id, "top"].file)
+
+
+def test_a_redaction_is_the_last_edit(base, place):
+    version, demos = base
+    hide = Redact(map=RedactionMap.model_validate({"fields": {"task": "blank"}}))
+    with pytest.raises(DatasetError, match=r"a redaction comes last(.|\n)*put it at the end"):
+        derive(version, [hide, Drop(episodes=(demos[0].id,))], store=place / "store")
+
+
+def test_a_key_that_others_may_read_signs_nothing(tmp_path):
+    key = store_key(tmp_path)
+    assert public_pem(store_key(tmp_path)) == public_pem(key)
+    (tmp_path / FILE).chmod(0o644)
+    with pytest.raises(StoreError, match=r"others may read the key(.|\n)*chmod 600"):
+        store_key(tmp_path)
+    (tmp_path / FILE).chmod(0o600)
+    (tmp_path / FILE).write_text("no key")
+    with pytest.raises(StoreError, match="is damaged"):
+        store_key(tmp_path)
 
 
 def test_data_files_before_the_first_change_are_shared(episode, smooth, recipe, tmp_path):
