@@ -95,6 +95,7 @@ def _holds_more(clip: Clip) -> bool:
     import av
     from av.error import FFmpegError
 
+    packets = 0
     try:
         with av.open(str(clip.file)) as container:
             packets = sum(1 for packet in container.demux(container.streams.video[0]) if packet.size)
