@@ -61,14 +61,14 @@ def judged(run: ArmRun, generation: int, champion: str, progress: Progress) -> M
     """Tonight's candidate against the champion, and, at every tenth promotion, against the anchor."""
     night = run.recipe.gate.nightly
     assert night is not None
-    books = _books(run, generation, champion, night)
+    found = books(run, generation, champion, night)
     even = night.false_promotions * (1 - night.anchor_share)
-    staked = stake(books.candidates, books.day, budget=even, days=night.nights, most=night.most_stake)
+    staked = stake(found.candidates, found.day, budget=even, days=night.nights, most=night.most_stake)
     verdict = _play(run, generation, champion, staked, CANDIDATE, progress)
     promoted = verdict.decision == "PASS"
-    again = promoted and books.promotions + 1 >= night.anchor_every and books.anchor != verdict.candidate
-    anchor = _against_anchor(run, generation, books, night, progress) if again else None
-    row = _night(run, generation, books, verdict, anchor)
+    again = promoted and found.promotions + 1 >= night.anchor_every and found.anchor != verdict.candidate
+    anchor = _against_anchor(run, generation, found, night, progress) if again else None
+    row = _night(run, generation, found, verdict, anchor)
     says = f"{verdict.decision} after {verdict.scenes} scenes, stake {staked:.2g}, {row.candidates.after:.3f} left"
     if anchor is not None:
         says += f"; against the anchor {anchor.decision}" + (", roll back" if row.roll_back_to else "")
@@ -80,7 +80,7 @@ def judged(run: ArmRun, generation: int, champion: str, progress: Progress) -> M
         tx.add_night(row)
 
     ids = (verdict.id,) if anchor is None else (verdict.id, anchor.id)
-    return Made(ids, says, {"day": books.day, "stake": staked}, write)
+    return Made(ids, says, {"day": found.day, "stake": staked}, write)
 
 
 def returned(run: ArmRun, generation: int, new: Release) -> Release | None:
@@ -108,7 +108,7 @@ def regression_set(run: ArmRun) -> list[SceneSpec]:
     return [e.scene for e in run.store.episodes(list(dict.fromkeys(c.episode for c in cases)))]
 
 
-def _books(run: ArmRun, generation: int, champion: str, night: NightlyConfig) -> Books:
+def books(run: ArmRun, generation: int, champion: str, night: NightlyConfig) -> Books:
     """Where budget and anchor stand; a run by hand has a night a lap, one by the clock a day number."""
     last = next(reversed(run.store.nights(run.run)), None)
     day = run.day if run.day is not None else last.day + 1 if last else generation

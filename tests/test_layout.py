@@ -37,8 +37,8 @@ LIGHT = ("schemas/", "pipeline/store/", "pipeline/recording/", "flows/cli.py")
 TWIN_USERS = ("pipeline/twin/", "stages/deploy.py", "stages/harvest.py", "stages/exam.py", "stages/judge.py",
               "flows/reporting.py", "flows/seeing.py", "flows/teleop_devices.py")
 TRAINING_SIDE = (
-    *(f"stages/{stage}.py" for stage in ("collect", "augment", "build", "train", "gate", "release")),
-    "flows/learning.py",
+    *(f"stages/{stage}.py" for stage in ("collect", "augment", "build", "train", "gate", "nightly", "release")),
+    "flows/learning.py", "flows/nights.py",
 )
 PICKLES = {"pickle", "cPickle", "cloudpickle", "dill", "joblib", "shelve", "marshal"}
 

@@ -6,7 +6,7 @@ from pipeline.errors import GateError
 from schemas.policy import PolicyRecord
 from schemas.release import Release
 from schemas.verdict import Verdict
-from stages.release import release, rollback
+from stages.release import release, return_to, rollback
 
 OLD, NEW = "a" * 16, "b" * 16
 
@@ -103,3 +103,24 @@ def test_there_is_no_way_back_before_the_first_release():
 def test_a_history_with_a_gap_is_refused():
     with pytest.raises(GateError, match=r"mend: .*hardcase doctor"):
         rollback([first(1), promotion(3, NEW, OLD)])
+
+
+THIRD, FOURTH, LOST = "c" * 16, "d" * 16, "9" * 16
+
+
+def test_returning_to_the_anchor_goes_past_every_promotion_since():
+    history = [first(), promotion(2, NEW, OLD), promotion(3, THIRD, NEW)]
+    back = return_to(history, OLD, LOST)
+    assert (back.number, back.policy, back.previous, back.verdict, back.kind) == (4, OLD, THIRD, LOST, "rollback")
+    assert back.onnx == first().onnx
+    with pytest.raises(GateError, match="is the first champion"):
+        rollback([*history, back])
+    onward = [*history, back, promotion(5, FOURTH, OLD)]
+    assert rollback(onward).policy == OLD, "what was passed over stays off"
+
+
+def test_only_a_champion_that_stands_below_can_be_returned_to():
+    history = [first(), promotion(2, NEW, OLD), promotion(3, THIRD, NEW)]
+    for policy in (THIRD, FOURTH):
+        with pytest.raises(GateError, match=f"mend: return to one of: {OLD}, {NEW}"):
+            return_to(history, policy, LOST)
