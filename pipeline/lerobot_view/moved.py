@@ -1,6 +1,7 @@
 """Frames of a derived version: read from the files of its sources, given their new numbers, written bit for bit."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -28,10 +29,10 @@ def moved(plan: Plan) -> Any:
     parts: list[Any] = []
     tasks: list[Whole] = []
     lengths = plan.lengths[head:]
-    for (source, s, k, start), length in zip(draft.walk(head), map(int, lengths), strict=True):
-        number = int(source.files[k])
-        first = int(source.starts[k]) - source.first_row(number) + start
-        parts.append(source.rows(number).slice(first, length).select([*draft.parent.widths]))
+    for s, number, first, count in _runs(plan):
+        source = draft.sources[s]
+        rows = source.rows(number).select([*draft.parent.widths])
+        parts.append(rows.slice(first - source.first_row(number), count))
         tasks.append(plan.task_index[s][to_rows(parts[-1].column("task_index"), 1)[:, 0]])
     frame = np.arange(int(lengths.sum())) - np.repeat(plan.firsts[head:] - plan.firsts[head], lengths)
     numbers: dict[str, NDArray[Any]] = {
@@ -42,6 +43,24 @@ def moved(plan: Plan) -> Any:
     for name, values in numbers.items():
         table = table.set_column(table.column_names.index(name), name, scalars(values))
     return table
+
+
+def _runs(plan: Plan) -> Iterator[tuple[int, int, int, int]]:
+    """Source, number of the data file, global row of the first frame there, and frames of every run of moved frames.
+
+    Frames that follow each other in one file are one run: a slice costs as much as the file has row groups.
+    """
+    draft, head = plan.draft, plan.head
+    source, row, length = draft.source[head:], draft.row[head:], plan.lengths[head:]
+    file, first = np.empty_like(row), np.empty_like(row)
+    for s, opened in enumerate(draft.sources):
+        here = source == s
+        file[here], first[here] = opened.files[row[here]], opened.starts[row[here]]
+    first += draft.start[head:]
+    apart = (np.diff(source) != 0) | (np.diff(file) != 0) | (first[1:] != first[:-1] + length[:-1])
+    edges = [0, *(np.flatnonzero(apart) + 1).tolist(), len(row)]
+    for a, b in pairwise(edges):
+        yield int(source[a]), int(file[a]), int(first[a]), int(length[a:b].sum())
 
 
 def write_moved(folder: Path, plan: Plan, table: Any) -> Whole:

@@ -121,6 +121,7 @@ STILL = "the hand waits while the finger closes, and no task needs every axis"
 GRIPPER = "a gripper is open or shut most of the time"
 NOT_USED = "a mark lies on the table, and nobody intervenes in a demonstration"
 WHOLE = "it says what the robot did and which policies would like more, not that the record is wrong"
+PART = "a trim addresses a part of its parent's video; it counts whole files, and does not read from_timestamp"
 STEPS = "actions are steps of the hand, the state has joints as well"
 CORRECTED = "a correction holds an attempt that failed, then what a person did: it is longer, the gripper opens again"
 
@@ -166,16 +167,18 @@ def _has_videos(folder: Path) -> bool:
 DATASET_REFEREES: MappingProxyType[str, Referee] = MappingProxyType({
     "lerobot": Referee("lerobot", "pipeline.selftest.with_lerobot:main", _to_lerobot, _lerobot, {}),
     "robovet": Referee("robovet", "robovet.cli:app", _to_robovet, _robovet,
-                       {"DATA-108 *dimension(s) never change*": NOT_USED}),
+                       {"DATA-108 *dimension(s) never change*": NOT_USED,
+                        "VIDEO-403 *LeRobot's own default recording codec*": "the same codec as lerobot's default"}),
     "lerobot-doctor": Referee(
         "lerobot_doctor", "lerobot_doctor.cli:main", _to_lerobot_doctor, _lerobot_doctor,
         {"action-quality *of values at m*": GRIPPER, "action-quality *frozen*": STILL, "per-episode-summary *": STILL,
          "data-distribution * zero variance*": NOT_USED, "anomaly-detection *constant*": NOT_USED,
          "anomaly-detection *stuck/static*": GRIPPER, "anomaly-detection *distribution shift*": WHOLE,
-         "episode-health *shorter than chunk_size*": WHOLE, "training-readiness *": WHOLE}),
+         "episode-health *shorter than chunk_size*": WHOLE, "training-readiness *": WHOLE,
+         "video-integrity * has # frames, expected # from # episode(s)": PART}),
     "rdq": Referee("rdq", "rdq.cli:main", _to_rdq, _rdq,
-                   {"schema.action_state_dims_differ *": STEPS,
-                    "episodes.* Expected by the dataset's owner*": CORRECTED}),
+                   {"schema.action_state_dims_differ *": STEPS, "episodes.trajectory_outlier *": WHOLE,
+                    "episodes.too_long *": WHOLE, "episodes.* Expected by the dataset's owner*": CORRECTED}),
     "kalanos": Referee("kalanos", "kalanos.cli:app", _to_kalanos, _kalanos,
                        {"integrity.flatline_pct *.observation.state/cmd_*": STILL}),
 })
