@@ -36,6 +36,9 @@ def teleop(
     stop_on_trigger: Annotated[
         bool, typer.Option("--stop-on-trigger", help="A trigger while the policy drives ends the attempt as a failure.")
     ] = False,
+    ring: Annotated[
+        bool, typer.Option("--ring", help="Every tick only 10 s before and 5 s after a trigger, and while you command.")
+    ] = False,
     hand_speed: Annotated[float, typer.Option(min=0.1, max=3, help="Factor on the speed of keys and sticks.")] = 1.0,
     speed: Annotated[float, typer.Option(min=0, help="Simulated seconds a second; 0: as fast as it goes.")] = 1.0,
     hz: Annotated[float, typer.Option(min=1, max=200, help="Control rate of LeRobot robots.")] = 20.0,
@@ -64,7 +67,7 @@ def teleop(
         shadows=tuple(shadow or ()), task=task, stratum=stratum, operator=operator, consent=consent,
         episodes=episodes, cameras=tuple(camera or ()), size=picture_size(size), hz=hz, speed=speed,
         hand_speed=hand_speed, max_step=_steps(max_step), max_s=max_s,
-        by_key=by_key, stop_on_trigger=stop_on_trigger)
+        by_key=by_key, stop_on_trigger=stop_on_trigger, ring=ring)
     if run_teleop(order, store_root(), as_json=json):
         raise typer.Exit(INTERRUPTED)
 

@@ -12,6 +12,7 @@ import numpy as np
 from pipeline.errors import ConfigError, SimulationError, StoreError
 from pipeline.protocols import LiveRobot, Observation, Policy, Teleoperator
 from pipeline.recording.live import LiveRecorder
+from pipeline.recording.ring import RingRecorder
 from pipeline.robots.limits import Limits
 from pipeline.robots.mapping import Driver
 from pipeline.robots.session import Film, no_film
@@ -50,6 +51,7 @@ class TeleopOrder:
     max_s: float = 120.0
     by_key: bool = False
     stop_on_trigger: bool = False
+    ring: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +124,7 @@ def _scene_cameras(world: "World", order: TeleopOrder) -> Film:
     cameras()  # an unknown name is refused now, not at the first attempt
 
     @contextmanager
-    def film(recorder: LiveRecorder) -> Generator[Callable[[int, int], None]]:
+    def film(recorder: LiveRecorder | RingRecorder) -> Generator[Callable[[int, int], None]]:
         if not order.cameras:
             yield lambda tick, stamp_ns: None
             return

@@ -112,7 +112,7 @@ def _drive(order: TeleopOrder, store: Store, lease: Lease, number: int, consent:
         operator=order.operator, consent=order.consent or NO_CONSENT, folder=store.root / FOLDER,
         software={**facts.software(), **said}, config=_config(order, device), number=number,
         episodes=order.episodes, max_s=order.max_s, by_key=order.by_key,
-        stop_on_trigger=order.stop_on_trigger, ask=_can_say_next(device), show=line.show,
+        stop_on_trigger=order.stop_on_trigger, ring=order.ring, ask=_can_say_next(device), show=line.show,
         stop=stop)
     with ExitStack() as stack:
         riders = stack.enter_context(shadowed(order.shadows, store, order.episodes * order.max_s))
@@ -163,6 +163,9 @@ def _check_fit(order: TeleopOrder, driven: Driven, device: Teleoperator) -> None
     from pipeline.robots.mapping import check_fit
 
     check_fit(device, driven.robot.signals, driven.robot.name)
+    if order.ring and not order.policy:
+        raise ConfigError("a demonstration is kept whole", where="--ring",
+                          mend="name who is watched: --policy champion; or leave --ring away")
     signals = driven.robot.signals
     if (signals.state, signals.environment) == (STATE, ENVIRONMENT):
         return

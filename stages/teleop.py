@@ -13,6 +13,7 @@ from pipeline.protocols import Array, Call, Command, LiveRobot, Observation
 from pipeline.recording.live import Closed, LiveRecorder
 from pipeline.recording.live_header import beginning
 from pipeline.recording.live_rows import Row, joint_targets
+from pipeline.recording.ring import RingRecorder
 from pipeline.robots.hand import Hand
 from pipeline.robots.session import Controls, SceneOf, Session, Status, Who
 from pipeline.simulation.recordings import episode_id
@@ -46,6 +47,7 @@ def teleop(robot: LiveRobot, controls: Controls, scene_of: SceneOf, session: Ses
         closed, error = attempt.run()
         if closed is not None:
             yield closed
+        yield from attempt.windows()
         if error is not None:
             raise error
         if attempt.last:
@@ -82,13 +84,18 @@ class _Attempt:
             controls.shadow.begin()
         kind, actor = self._party()
         robot.begin(scene)
-        self._recorder = LiveRecorder(
+        make = RingRecorder if session.ring else LiveRecorder
+        self._recorder = make(
             session.folder / f"{(name := episode_id('teleop', scene, session.operator, session.number))}.mcap",
             beginning(id=name, origin="teleop", scene=scene, control_hz=robot.control_hz, generation=0, kind=kind,
                       actor=actor, policy=controls.policy_id, consent=session.consent),
             attachments={**robot.attachments(), **_attached(session, scene)}, software=session.software,
             layout=robot.layout())
         self._give_to_policy()
+
+    def windows(self) -> list[Closed]:
+        """What a ring has kept at full rate."""
+        return self._recorder.windows if isinstance(self._recorder, RingRecorder) else []
 
     def _give_to_policy(self) -> None:
         """Let the policy begin: what it planned before belongs to another course of events."""
@@ -127,6 +134,8 @@ class _Attempt:
         observation, command = robot.observe(_ONE), self._controls.device.read()
         take(tick, stamp_ns)
         self._switch_over(command, tick)
+        if self._who == "operator" and isinstance(recorder, RingRecorder):
+            recorder.keep(tick=tick)  # a person's part is whole, however long it takes
         self._watch(observation, tick)
         action = self._action(command, observation)
         recorder.joy(list(command.raw_axes), list(command.raw_buttons), tick=tick, stamp_ns=stamp_ns)
@@ -169,12 +178,18 @@ class _Attempt:
             self._give_to_policy()
         kind, actor = self._party()
         self._recorder.segment(kind, actor, tick=tick)
+        if isinstance(self._recorder, RingRecorder):
+            self._recorder.trigger("take-over", f"{actor} takes over", tick=tick)
 
     def _watch(self, observation: Observation, tick: int) -> None:
         """Notice where the policy fails."""
         alarm = self._controls.alarm
         if alarm is not None and self._who == "policy" and alarm.see(observation) and alarm.raised is not None:
-            self._recorder.event("trigger", f"{alarm.raised[0]}, {alarm.raised[1]}", level=30, tick=tick)
+            text = f"{alarm.raised[0]}, {alarm.raised[1]}"
+            if isinstance(self._recorder, RingRecorder):
+                self._recorder.trigger(alarm.raised[0], text, tick=tick)
+            else:
+                self._recorder.event("trigger", text, level=30, tick=tick)
 
     def _note(self) -> str:
         """What a person should know now."""

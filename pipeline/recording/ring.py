@@ -99,6 +99,12 @@ class RingRecorder:
         kept.until = tick + self._after
         return told
 
+    def keep(self, *, tick: int) -> None:
+        """Have the window that is open go on for as long after this tick as after a trigger."""
+        for lap in self._laps:
+            if lap.until is not None:
+                lap.until = max(lap.until, tick + self._after)
+
     def write(self, topic: str, payload: bytes, *, tick: int | None = None, stamp_ns: int | None = None) -> bool:
         """Record one message; see LiveRecorder.write."""
         return self._all(lambda r, at: r.write(topic, payload, tick=at, stamp_ns=stamp_ns), tick,
@@ -213,6 +219,8 @@ class RingRecorder:
     def close(self, outcome: Outcome | None = None, segments: tuple[Segment, ...] | None = None) -> Closed:
         """Finish every file; the decimated one is handed back, the others are in `windows`.
 
+        What a window shows is not the whole attempt, so its outcome is unknown, unless it reaches the end.
+
         Args:
             outcome: how it all ended.
             segments: who commanded when, in ticks of the decimated file; those of `segment` where None.
@@ -222,6 +230,10 @@ class RingRecorder:
         """
         self._forget_next()
         for lap in self._laps:
+            if lap.outcome is not None and outcome is not None:  # a window that reaches the end knows how it ended
+                told = {"trigger": lap.outcome.trigger, "tick": lap.outcome.tick,
+                        "reason": "; ".join(filter(None, (lap.outcome.reason, outcome.reason)))}
+                lap.outcome = outcome.model_copy(update=told)
             self._end(lap)
         self._pool.shutdown()
         try:

@@ -8,6 +8,7 @@ from typing import Literal
 
 from pipeline.protocols import Observation, Policy, Teleoperator
 from pipeline.recording.live import LiveRecorder
+from pipeline.recording.ring import RingRecorder
 from pipeline.robots.judging import Alarm
 from pipeline.robots.limits import Limits
 from pipeline.robots.mapping import Driver
@@ -16,13 +17,13 @@ from schemas.scene import SceneSpec
 
 type SceneOf = Callable[[int, Observation], SceneSpec]
 """(attempt from 0, what the robot perceives before it) -> its start: made up in simulation, perceived elsewhere."""
-type Film = Callable[[LiveRecorder], AbstractContextManager[Callable[[int, int], None]]]
+type Film = Callable[[LiveRecorder | RingRecorder], AbstractContextManager[Callable[[int, int], None]]]
 """Films into a recording while it is open; what it gives is called with (tick, time [ns]) when the robot perceived."""
 type Who = Literal["operator", "policy", "reset"]
 
 
 @contextmanager
-def no_film(recorder: LiveRecorder) -> Generator[Callable[[int, int], None]]:
+def no_film(recorder: LiveRecorder | RingRecorder) -> Generator[Callable[[int, int], None]]:
     """No camera beside the robot's own."""
     yield lambda tick, stamp_ns: None
 
@@ -66,6 +67,8 @@ class Session:
     """Only the person ends an attempt, not the robot's belief in success."""
     stop_on_trigger: bool = False
     """A trigger that fires while the policy drives ends the attempt as a failure; else the person is only told."""
+    ring: bool = False
+    """Keep every tick only around triggers and while a person commands, one in ten elsewhere."""
     ask: bool = True
     """Wait for 'next' before each attempt; the robot can be driven meanwhile, unrecorded, to reset it."""
     show: Callable[[Status], None] = field(default=lambda status: None)
