@@ -5,12 +5,16 @@ hard scenes are hard for both (0 is the worst case). Prints how often the gate s
 and how many scenes it plays on average. Fixed seeds; about five minutes on one core.
 """
 
+import time
 from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
 
 from pipeline.statistics import loss_upper, spend
+from pipeline.statistics.nightly import Limits, Tally, rule_nights
+from pipeline.statistics.nights import mixed, pair
+from pipeline.statistics.power import fixed_size, nightly_operating
 from pipeline.statistics.promotion import compare_strata, rule
 from schemas.recipe import GateConfig
 
@@ -123,3 +127,36 @@ def test_one_loss_bound(benchmark, fixed, broken, n):
     """A verdict needs about a dozen; the gate's own scenes take seconds."""
     benchmark(loss_upper.__wrapped__, fixed, broken, n, 0.0167)
     assert benchmark.stats["median"] < 0.05  # [s]
+
+
+def test_one_ruling_of_a_night_costs_less_than_one_exact_bound(capsys):
+    """A night asks after every batch, up to 60 times: bets must be cheap beside the bounds that looks are made of."""
+    tally = Tally(np.array([[30, 9, 8]]), np.array([[12, 5, 3]]), np.array([[300, 150, 150]]))
+    limits = Limits(0.05, 0.05, 3000)
+    seconds = {}
+    for name, work in {
+        "a ruling of a night, three families": lambda: rule_nights(tally, np.array([2.5e-4]), limits),
+        "an exact bound of one family": lambda: loss_upper.__wrapped__(30, 12, 300, 2.5e-4),
+    }.items():
+        began = time.process_time()
+        for _ in range(40):
+            work()
+        seconds[name] = (time.process_time() - began) / 40
+    bets, bound = seconds.values()
+    with capsys.disabled():
+        print("".join(f"\n{name}: {1e3 * s:.2f} ms" for name, s in seconds.items()), f"ratio {bound / bets:.0f}")
+    assert bets < bound
+
+
+@pytest.mark.parametrize("gain", [0.05, 0.10], ids=["+5 points", "+10 points"])
+def test_scenes_of_a_night_beside_the_fixed_design(gain, capsys):
+    """Scenes of an evaluation are what a night costs; both at the even stake of a year with .09 false promotions."""
+    alpha = 0.09 / 365
+    planned = fixed_size(*pair(0.85, 0.90, 0.3), alpha, 0.9)
+    fixed, broken = pair(0.85, 0.85 + gain, 0.3)
+    tonight = nightly_operating(mixed(np.ones(1), np.array([fixed]), np.array([broken])), alpha,
+                                Limits(0.05, 0.05, 3000), batch=50, nights=2000, seed=1)
+    with capsys.disabled():
+        print(f"\n{gain:+.0%}: nightly {tonight.scenes:.0f} scenes, power {tonight.rejects:.3f}; fixed {planned}, "
+              f"ratio {planned / tonight.scenes:.1f}")
+    assert planned / tonight.scenes > (2 if gain == 0.10 else 1)
