@@ -142,6 +142,10 @@ def _sizes(value: onnx.ValueInfoProto) -> tuple[int, ...] | None:
 
 def _check_inputs(model: onnx.ModelProto, expected: dict[str, tuple[int, ...]], path: Path) -> None:
     inputs = {value.name: _sizes(value) for value in model.graph.input}
+    if "pictures" in inputs and "pictures" not in expected:
+        raise PolicyError("a policy that sees, and nothing here shows it pictures", where=path,
+                          mend="let the stages drive it, which render for it (hardcase gate, exam, deploy), or use a "
+                               "policy of kind chunked")
     if inputs != expected:
         raise PolicyError(f"inputs {inputs}, the robot gives {expected} (0: any number of attempts)", where=path,
                           mend="train on a dataset version of this robot")

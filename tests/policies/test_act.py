@@ -207,9 +207,9 @@ def test_files_of_one_kind_are_refused_as_the_other(tmp_path, folder, fitted):
     with pytest.raises(PolicyError, match="pictures of sizes None") as caught:
         ActOnnx(tmp_path / "chunked.onnx")
     assert "pictures of one camera" in caught.value.mend
-    with pytest.raises(PolicyError, match="the robot gives") as caught:
+    with pytest.raises(PolicyError, match="a policy that sees, and nothing here shows it pictures") as caught:
         OnnxPolicy(folder / "policy.onnx")
-    assert "dataset version of this robot" in caught.value.mend
+    assert "hardcase gate, exam, deploy" in caught.value.mend
 
 
 @pytest.mark.parametrize("cameras", [(), ("close", "top")], ids=["none", "two"])
