@@ -8,6 +8,8 @@ from tempfile import TemporaryDirectory
 from flows import facts
 from flows.signalling import neighbours_of
 from flows.steps import Steps
+from pipeline.policies.onnx_policy import OnnxPolicy
+from pipeline.protocols import Array, Ids, Observation
 from pipeline.recording import read_episode
 from pipeline.shadow.riders import Riders
 from pipeline.trace import Rows
@@ -63,12 +65,38 @@ def attempts(steps: Steps, setting: Setting, *, twin: int, seed: int, count: int
     if setting.rare_share is not None:
         changed["rare_share"] = setting.rare_share
     recipe = steps.recipe.model_copy(update={"deploy": steps.recipe.deploy.model_copy(update=changed), "threads": 1})
-    with TemporaryDirectory(dir=steps.store.tmp) as folder, Riders(
-            {id: steps.file(id) for id in riding.values()}, patient=True) as riders:
+    with TemporaryDirectory(dir=steps.store.tmp) as folder, _Beside(
+            {id: steps.policy(id) for id in riding.values()}) as riders:
         done = deploy(steps.policy(champion), champion, recipe, seed=seed, twin=twin, generation=setting.champion,
                       folder=Path(folder), software=facts.software("deploy"), riders=riders,
                       neighbours=neighbours_of(champion, steps.store))
         return list(_read([r.path for r in done.recorded], [bool(t) for t in done.truth], riding))
+
+
+class _Beside(Riders):
+    """Candidates in this process: there is no robot to shield here, and their answers are the same to the bit."""
+
+    def __init__(self, policies: Mapping[str, OnnxPolicy]) -> None:
+        super().__init__({}, patient=True)
+        self._policies, self._answers = policies, dict[str, Array]()
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Ids of all candidates."""
+        return tuple(self._policies)
+
+    def reset(self, n: int) -> None:
+        """Have all forget everything and prepare for n attempts."""
+        for policy in self._policies.values():
+            policy.reset(n)
+
+    def offer(self, observation: Observation, ids: Ids) -> None:
+        """Ask all at once."""
+        self._answers = {id: policy.act(observation, ids) for id, policy in self._policies.items()}
+
+    def answers(self) -> Mapping[str, Array]:
+        """What they said."""
+        return self._answers
 
 
 def _read(paths: list[Path], truth: list[bool], riding: Mapping[int, str]) -> Iterator[Attempt]:
