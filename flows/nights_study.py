@@ -135,8 +135,9 @@ def charts(power: dict[str, Any]) -> dict[str, str]:
     axis = around("gain [points]", x)
     drawn: dict[str, str] = {}
     for kind, title in (("power", "A promotion in one night"), ("scenes", "Scenes that a night plays")):
-        lines = [Line(name, x, [row["tests"][name][kind] for row in power["effects"]], colour=k, dashed="fixed" in name,
-                      end=name) for k, name in enumerate(power["effects"][0]["tests"]) if "three" not in name]
+        names = [name for name in power["effects"][0]["tests"] if "three" not in name]
+        lines = [Line(name, x, [row["tests"][name][kind] for row in power["effects"]], colour=k, dashed="fixed" in name)
+                 for k, name in enumerate(names)]
         values = [v for line in lines for v in line.y]
         y = shares("promoted") if kind == "power" else around("scenes", values, zero=True)
         drawn[f"nights-{kind}"] = alone(line_chart(title, lines, axis, y), f"{title}, by true gain in points")

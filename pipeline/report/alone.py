@@ -16,11 +16,11 @@ _STYLE = (
     ".bar{fill:var(--k)}")
 """The report's own style as far as charts need it, in light colours on a ground of their own."""
 
-HEAD, SCALE = 30.0, 1.8
+HEAD, LINE, SCALE = 30.0, 15.0, 1.8
 
 
 def alone(chart: Markup, title: str) -> str:
-    """The picture of a chart as a whole SVG file with its title on top.
+    """The picture of a chart as a whole SVG file with its title on top and its legend below.
 
     Args:
         chart: what a function of charts.py gave.
@@ -28,9 +28,12 @@ def alone(chart: Markup, title: str) -> str:
     """
     inside = re.search(r"<svg [^>]*viewBox[^>]*>(.*?)</svg>", chart, re.DOTALL)
     assert inside is not None
-    height = HEIGHT + HEAD
+    keys = re.findall(r'<li><svg class="key"[^>]*>(.*?)</svg>(.*?)</li>', chart, re.DOTALL)
+    legend = "".join(f'<g transform="translate(44 {HEIGHT + LINE * k + 4:g})">{mark}'
+                     f'<text x="24" y="8">{name}</text></g>' for k, (mark, name) in enumerate(keys))
+    height = HEIGHT + HEAD + LINE * len(keys) + (8 if keys else 0)
     colours = "".join(f".c{k}{{--k:{colour}}}" for k, colour in enumerate(_LIGHT))
     return (f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH * SCALE:.0f}" height="{height * SCALE:.0f}" '
             f'viewBox="0 {-HEAD:.0f} {WIDTH:.0f} {height:.0f}" role="img" aria-label="{escape(title)}">'
             f"<style>{_STYLE}{colours}</style><rect y=\"{-HEAD:.0f}\" width=\"100%\" height=\"100%\" fill=\"#fff\"/>"
-            f'<text class="heading" x="8" y="-11">{escape(title)}</text>{inside.group(1)}</svg>\n')
+            f'<text class="heading" x="8" y="-11">{escape(title)}</text>{inside.group(1)}{legend}</svg>\n')
