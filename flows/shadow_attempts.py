@@ -8,8 +8,7 @@ from tempfile import TemporaryDirectory
 from flows import facts
 from flows.signalling import neighbours_of
 from flows.steps import Steps
-from pipeline.policies.onnx_policy import OnnxPolicy
-from pipeline.protocols import Array, Ids, Observation
+from pipeline.protocols import Array, Ids, Observation, Policy
 from pipeline.recording import read_episode
 from pipeline.shadow.riders import Riders
 from pipeline.trace import Rows
@@ -76,7 +75,7 @@ def attempts(steps: Steps, setting: Setting, *, twin: int, seed: int, count: int
 class _Beside(Riders):
     """Candidates in this process: there is no robot to shield here, and their answers are the same to the bit."""
 
-    def __init__(self, policies: Mapping[str, OnnxPolicy]) -> None:
+    def __init__(self, policies: Mapping[str, Policy]) -> None:
         super().__init__({}, patient=True)
         self._policies, self._answers = policies, dict[str, Array]()
 

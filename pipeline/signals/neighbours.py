@@ -17,8 +17,8 @@ type F32 = NDArray[np.float32]
 
 KEPT = 4000
 """Training frames that are kept, evenly drawn. AUROC of the first 40 ticks on twins 0-7, for the two champions of
-docs/results.md: .974 and .878 with 2,000 frames, .978 and .891 with 4,000, .982 and .904 with 16,000, which cost 4 times
-as much."""
+docs/results.md: .974 and .878 with 2,000 frames, .978 and .891 with 4,000, .982 and .904 with 16,000, which take 4
+times as long."""
 NEAREST = 5
 """Neighbours whose distances are averaged."""
 _ROWS = 256
