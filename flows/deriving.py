@@ -58,8 +58,8 @@ def derive_version(order: Order, root: Path | None = None,
         HardcaseError: an option cannot be read, or the version cannot be derived.
     """
     with Store.open(root or store_root()) as store:
-        parent = named_version(store, order.version)
-        others = {v.id: v for v in (named_version(store, _parted(a, "--add")[0]) for a in order.add)}
+        parent = named_version(store, order.version, f"VERSION {order.version}")
+        others = {v.id: v for v in (named_version(store, _parted(a, "--add")[0], f"--add {a}") for a in order.add)}
         edits = edits_of(order, open_version(store.path(parent.path), parent), others, store)
 
         def episodes_of(ids: Sequence[str]) -> tuple[list[Episode], list[Episode]]:
@@ -72,15 +72,15 @@ def derive_version(order: Order, root: Path | None = None,
         return version
 
 
-def named_version(store: Store, name: str) -> DatasetVersion:
-    """A version by its id or the beginning of it.
+def named_version(store: Store, name: str, given: str = "") -> DatasetVersion:
+    """A version by its id or the beginning of it; `given` says where that was typed.
 
     Raises:
         StoreError: there is none, or the name is that of something else.
     """
-    kind, id = store.find(name)
+    kind, id = store.find(name, given)
     if kind != "version":
-        raise StoreError(f"{kind.replace('_', ' ')} {id} is no dataset version", where=name,
+        raise StoreError(f"{kind.replace('_', ' ')} {id} is no dataset version", where=given or name,
                          mend="list the versions: hardcase datasets")
     return store.version(id)
 

@@ -34,7 +34,7 @@ def export_version(name: str, folder: Path, push_to: str | None = None, root: Pa
     if folder.is_symlink() or (folder.exists() and (not folder.is_dir() or any(folder.iterdir()))):
         raise DatasetError("there is something here already", where=folder, mend="name a folder that is not there yet")
     with Store.open(root or store_root()) as store:
-        version = named_version(store, name)
+        version = named_version(store, name, f"VERSION {name}")
         source = store.path(version.path)
         opened = open_version(source, version)
         people = dict(zip(opened.ids, (str(t or "") for t in opened.texts("consents")), strict=True))

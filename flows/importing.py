@@ -77,7 +77,7 @@ def _ours(store: Store, folder: Path) -> DatasetVersion | None:
 
 
 def _refuse_unlike(store: Store, foreign: Foreign, like: str) -> None:
-    version = named_version(store, like)
+    version = named_version(store, like, f"--like {like}")
     of = store.path(version.path)
     info = json.loads((of / "meta/info.json").read_text(encoding="utf-8"))
     for key, called in (("robot_type", "robot"), ("fps", "rate")):

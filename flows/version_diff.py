@@ -23,7 +23,8 @@ def compare(first: str, second: str, root: Path | None = None) -> dict[str, Any]
         DatasetError: a folder is damaged.
     """
     with Store.open(root or store_root()) as store:
-        one, two = (named_version(store, name) for name in (first, second))
+        one, two = (named_version(store, name, f"{which} VERSION {name}") for which, name in (("first", first),
+                                                                                             ("second", second)))
         a, b = (open_version(store.path(v.path), v) for v in (one, two))
         found = difference(a, b)
         return {

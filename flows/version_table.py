@@ -106,7 +106,7 @@ def render(rows: Sequence[Mapping[str, Any]]) -> str:
 def episodes_of(name: str, where: str | None, root: Path | None = None) -> list[dict[str, Any]]:
     """The episodes of one version that a query chooses; every field that queries know."""
     with Store.open(root or store_root()) as store:
-        version = named_version(store, name)
+        version = named_version(store, name, f"VERSION {name}")
         opened = open_version(store.path(version.path), version)
     columns = {field: opened.asked(field).tolist() for field in FIELDS}
     mask = parse(where, FIELDS).mask(opened.asked).tolist() if where else [True] * len(opened)

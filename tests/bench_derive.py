@@ -149,6 +149,21 @@ def test_a_catalog_of_100_000_episodes(crowd):
     assert all(cpu_s < 1 for cpu_s, _ in spent.values())
 
 
+def test_a_version_that_holds_100_000_episodes(tmp_path):
+    """Printed, not held to a limit: see docs/datasets.md for what takes the time, and why it must."""
+    with Store.open(tmp_path, create=True) as store:
+        blob = store.put_blob(b"frames of everybody")
+        episodes = [an_episode(k, 4, blob) for k in range(MANY)]
+        recipe = Recipe(name="bench", dataset=DatasetConfig(only_success=False))
+        whole = build(episodes, frames_of, recipe, store=tmp_path, task=TASK, generation=0)
+        store.add_version(whole, episodes)
+    orders = {"relabel": Order(whole.id, relabel=[f"{whole.episodes[500]}=success"]),
+              "drop": Order(whole.id, drop=[whole.episodes[99_000]])}
+    for name, order in orders.items():
+        spent = cpu(lambda o=order: derive_version(o, tmp_path))
+        print(f"\nderive from {MANY} episodes of 4 frames: {name}: {spent:.1f} CPU s", end="")
+
+
 def test_reweighting_writes_no_frames(crowd):
     root, some = crowd
     made = derive(some, [Reweight(episodes=some.episodes[:5], factor=2)], store=root)

@@ -2,7 +2,7 @@
 
 What each looks at, by its source: lerobot 0.6.1 opens a folder and gives every sample, pictures decoded. robovet 0.2.2
 compares tables, rows, statistics and packets. lerobot-doctor 0.2.0 looks at the values of rows, at lengths and at what
-policies want. rdq 0.3.4 scores counts, times, statistics, duplicates, idleness, jumps and, with --video, some pictures.
+policies want. rdq 0.3.4 scores counts, times, statistics, duplicates, idleness, jumps and, asked so, every picture.
 kalanos 0.8.2 grades the values of each channel and, by its profile for vision, every picture.
 """
 
@@ -144,7 +144,7 @@ def _to_rdq(folder: Path, report: Path) -> list[str]:
         path = report.with_suffix(".expected.json")
         path.write_text(json.dumps([{"episodes": taken_over, "checks": ["episodes.*"], "reason": CORRECTED}]))
         words += ["--expected", str(path)]
-    return [*words, "--video"] if _has_videos(folder) else words
+    return [*words, "--video-full"] if _has_videos(folder) else words
 
 
 def _to_kalanos(folder: Path, report: Path) -> list[str]:

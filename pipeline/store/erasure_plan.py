@@ -31,7 +31,7 @@ def plan_erasure(store: Reader, id: str, reason: str, at: datetime, *, with_log:
     Raises:
         StoreError: no such episode, it is forgotten already, or it lies in a log and `with_log` was not given.
     """
-    table, whole = store.find(id)
+    table, whole = store.find(id, f"hardcase forget {id}")
     if table == "erased":
         raise StoreError(f"{whole} was forgotten already", where=store.erased([whole])[whole].reason,
                          mend=f"see what went with it: hardcase why {whole}")

@@ -44,13 +44,14 @@ def check_id(kind: str, value: str) -> str:
     return _check(_SHORT, kind, value, "an id has 16 hex digits; `hardcase why ID` takes the first 8 or more")
 
 
-def check_prefix(value: str) -> str:
-    """An id or its first 8 digits and more, or an error."""
+def check_prefix(value: str, given: str = "") -> str:
+    """An id or its first 8 digits and more, or an error; `given` says where it was typed."""
     return _check(
         _PREFIX,
         "id",
         value,
         "give 8 to 16 hex digits of the id of a policy, version, episode, verdict, hard case or run",
+        given,
     )
 
 
@@ -69,9 +70,9 @@ def check_name(kind: str, value: str) -> str:
     return _check(_NAME, kind, value, "use 1 to 64 of a-z, 0-9, - and _, the first a letter or digit")
 
 
-def _check(pattern: re.Pattern[str], kind: str, value: str, mend: str) -> str:
+def _check(pattern: re.Pattern[str], kind: str, value: str, mend: str, given: str = "") -> str:
     if pattern.fullmatch(value) is None:
-        raise StoreError(f"not a valid {kind}: {value[:80]!r}", where=f"the {kind} given", mend=mend)
+        raise StoreError(f"not a valid {kind}: {value[:80]!r}", where=given or f"the {kind} given", mend=mend)
     return value
 
 

@@ -225,13 +225,13 @@ class Reader:
         """Rows of the catalog; for lineage, garbage and reports, which ask across tables. Reading only."""
         return self._catalog.rows(sql, parameters)
 
-    def find(self, prefix: str) -> tuple[str, str]:
-        """Table and whole id of what an id, or 8 and more of its first digits, names.
+    def find(self, prefix: str, given: str = "") -> tuple[str, str]:
+        """Table and whole id of what an id, or 8 and more of its first digits, names; `given` says where it was typed.
 
         Raises:
             StoreError: nothing or more than one thing begins so; the error lists them.
         """
-        check_prefix(prefix)
+        check_prefix(prefix, given)
         found = [
             (table, str(id))
             for table in TABLES
@@ -243,7 +243,8 @@ class Reader:
         if len(found) > 1:
             names = ", ".join(f"{table} {id}" for table, id in found)
             raise StoreError(
-                f"{len(found)} things begin with {prefix}", where="the catalog", mend=f"use more digits: {names}"
+                f"{len(found)} things begin with {prefix}", where=given or "the catalog",
+                mend=f"use more digits: {names}",
             )
         return found[0]
 

@@ -132,3 +132,14 @@ def test_an_episode_is_no_version(base, run):
     _, episodes = base
     code, _, err = run("diff", episodes[0].id, episodes[1].id)
     assert code == 2 and "is no dataset version" in err and "hardcase datasets" in err
+
+
+@pytest.mark.parametrize(("words", "at"), [
+    (("forget", "zz!", "--reason", "x"), "hardcase forget zz!"), (("diff", "ID", "ZZ"), "second VERSION ZZ"),
+    (("export", "q", "out"), "VERSION q"), (("derive", "ID", "--add", "xx=0.3"), "--add xx=0.3"),
+    (("datasets", "q-q"), "VERSION q-q"),
+], ids=["forget", "diff", "export", "derive", "datasets"])
+def test_a_malformed_id_is_refused_with_the_place_where_it_was_typed(base, run, words, at):
+    code, out, err = run(*(base[0].id if word == "ID" else word for word in words))
+    mend = "  mend: give 8 to 16 hex digits of the id of a policy, version, episode, verdict, hard case or run"
+    assert (code, out) == (2, "") and err.splitlines()[1:] == [f"  at:   {at}", mend]

@@ -1,5 +1,6 @@
 """The checks against known faults: all are caught, nothing clean is accused; and the self-test itself can fail."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -8,9 +9,11 @@ from flows.selftest import exit_code, judge_with, run_selftest
 from flows.selftest_display import told
 from pipeline.check.table import CHECKS
 from pipeline.errors import ConfigError
+from pipeline.selftest.dataset_referees import DATASET_REFEREES, news, unexpected
 from pipeline.selftest.judging import run
 from pipeline.selftest.log import Log
 from pipeline.selftest.material import REFUSED, Material
+from pipeline.selftest.opinions import Asked, Opinion
 from pipeline.selftest.table import FAULTS
 from schemas.contract import Contract
 
@@ -93,6 +96,31 @@ def test_the_same_seed_plants_the_same(few, tmp_path):
         run(few, spike, judge_with(["spikes"]), tmp_path / folder, seed=5)
     files = [sorted((tmp_path / folder / "spike").glob("*")) for folder in ("one", "two")]
     assert [f.read_bytes() for f in files[0]] == [f.read_bytes() for f in files[1]]
+
+
+def test_referees_stand_in_columns_of_their_own_and_remarks_in_parentheses(few, tested, tmp_path):
+    """And what one of them finds wrong with clean material fails the self-test."""
+    result = run(few, {"spike": FAULTS["spike"]._replace(on="demonstrated")}, judge_with(["spikes"]), tmp_path, seed=5)
+    spike = result.planted[0]
+    both = replace(result, planted=(spike, replace(spike, name="in-rows", fault=spike.fault._replace(on="dataset"))))
+    quiet, loud = Opinion(True, ()), Opinion(False, ("C07 gaps",), ("C06 rate", "C07 gaps"))
+    asked = Asked({"spike": {"tracecheck": loud, "baglint": quiet},
+                   "in-rows": dict.fromkeys(DATASET_REFEREES, Opinion(True, (), ("idle #",)))}, ())
+    recordings, datasets = "\n".join(told(both, asked)).split("\n\n")[:2]
+    assert recordings.splitlines()[0].split()[3:5] == ["tracecheck", "baglint"]
+    assert recordings.splitlines()[1].split()[1:5] == ["spikes", "C07,", "(C06)", "-"]
+    assert datasets.splitlines()[0].split()[3:8] == list(DATASET_REFEREES)
+    assert datasets.splitlines()[1].split()[2:7] == ["(idle)"] * 5
+    assert (exit_code(both, asked), exit_code(both, replace(asked, alarms=("rdq on clean: too short",)))) == (0, 1)
+
+
+def test_what_a_referee_says_of_good_data_is_let_pass_by_name_alone():
+    known = Opinion(True, (), ("DATA-108 # dimension(s) never change across the whole dataset: target_z",))
+    assert unexpected("robovet", known) == []
+    other = Opinion(True, (), (*known.remarks, "STATS-304 quantiles"))
+    assert unexpected("robovet", other) == ["STATS-304 quantiles"]
+    assert unexpected("robovet", Opinion(False, ())) == ["failed without a reason"]
+    assert news(other, [known]).remarks == ("STATS-304 quantiles",)
 
 
 def test_files_are_never_kept_among_others(tmp_path):
