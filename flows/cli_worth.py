@@ -14,6 +14,7 @@ def worth(
     seeds: Annotated[int, typer.Option(min=1, help="Trainings with and as many without; fewer than 8 decide "
                                                    "nothing.")] = 8,
     scenes: Annotated[int, typer.Option(min=20, help="Simulated scenes that each policy plays.")] = 200,
+    every: Annotated[bool, typer.Option("--list", help="Judge nothing; list the last verdict on every batch.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print JSON for machines.")] = False,
 ) -> None:
     """Say what a batch of episodes is worth: policies retrained with it and without it, on the same scenes.
@@ -24,6 +25,12 @@ def worth(
 
     Example: hardcase worth 3f9a1c2b --where "source == corrected" --seeds 8
     """
-    from flows.worth import Order, run_worth
+    from flows.worth import list_worths, run_worth
+    from flows.worth_batch import Order
 
-    raise typer.Exit(run_worth(Order(batch, where, tuple(episode or ()), seeds, scenes), as_json=json))
+    if every:
+        typer.echo(list_worths(as_json=json))
+        return
+    text, code = run_worth(Order(batch, where, tuple(episode or ()), seeds, scenes), as_json=json)
+    typer.echo(text)
+    raise typer.Exit(code)

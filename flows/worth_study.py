@@ -11,7 +11,8 @@ from rich.table import Table
 
 from flows.measured import finished_loop, write_json
 from flows.steps import Steps
-from flows.worth import FOLDER, data_of, judge, of_lap
+from flows.worth import FOLDER, data_of, judge
+from flows.worth_batch import of_lap
 from flows.worth_poisons import DOSES, LAP, Dose, gated, poisoned
 from flows.worth_selection import halves, scores
 from pipeline.statistics.retraining import Retrained, retrained

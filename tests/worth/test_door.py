@@ -1,5 +1,7 @@
 """A batch that hurts is left out of later versions, its candidate is not released, and it is listed with the reason."""
 
+import json
+
 import pytest
 
 from flows.learning import released
@@ -92,9 +94,17 @@ def test_why_tells_of_a_version_and_an_episode_that_it_hurts(steps, verdict_on, 
 
 
 def test_one_extra_training_gives_an_indication_and_decides_nothing(steps):
-    found = indicated(steps, 1)
+    found = indicated(steps, 1, scenes=20)
     assert found.decision == "INCONCLUSIVE" and "1 seed, indicative" in found.reason
     assert len(found.seeds_with) == len(found.seeds_without) == 1
     assert found.seeds_with[0] == steps.store.policy(steps.candidate(1)).seed
     assert steps.store.worths() == []
-    assert indicated(steps, 0) is None
+    assert indicated(steps, 0, scenes=20) is None
+
+
+def test_the_list_shows_what_is_kept_out_and_why(steps, verdict_on, corrections, hardcase):
+    assert "no batch was judged yet" in hardcase("worth", "--list")[1]
+    worth = verdict_on(corrections, "HURTS")
+    code, out, _ = hardcase("worth", "--list")
+    assert code == 0 and worth.id in out and "HURTS" in out and "-5.0" in out
+    assert BatchWorth.model_validate(json.loads(hardcase("worth", "--list", "--json")[1])[0]) == worth
