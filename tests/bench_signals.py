@@ -60,5 +60,5 @@ def test_all_signals_of_a_tick(neighbours: Neighbours, seen: Observation) -> Non
     answers = {str(k): other for k, other in enumerate(others)}
     all_of_them = cpu_ms(lambda: signals.tick(seen, action, answers, ids, plan))
     distance = cpu_ms(lambda: neighbours.distance(seen))
-    print(f"\nall signals of {ATTEMPTS} attempts, 3 candidates: {all_of_them:.2f} ms, the distance alone {distance:.2f}")
+    print(f"\nall signals of {ATTEMPTS} attempts, 3 candidates: {all_of_them:.2f} ms, distance alone {distance:.2f}")
     assert all_of_them < 50, "one tick of 20 Hz"
