@@ -48,7 +48,7 @@ def judge_tonight(candidate: str, champion: str, *, generation: int, stake: floa
         GateError: no nightly gate is configured, the stake is outside (0, 0.5), a scene is of no family of the mix,
             of a twin, or played twice; regression scenes without a way to play them again.
 
-    Source: docs/decisions, "a gate for every night".
+    Source: docs/decisions/016-a-gate-for-every-night.md.
     """
     night = _checked(config, stake, regression, again)
     limits = Limits(config.margin, config.alpha, night.most_scenes)

@@ -1,7 +1,7 @@
 """The nightly rule: what the scenes of tonight say at a level that leaves room for a whole year of nights.
 
 Every array holds many nights side by side, so that the gate and the simulation of ten thousand years run the same
-lines. See docs/decisions.
+lines. See docs/decisions/016-a-gate-for-every-night.md.
 """
 
 from collections.abc import Callable

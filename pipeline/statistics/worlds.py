@@ -57,7 +57,7 @@ def drifting(rng: np.random.Generator, n: int, night: int) -> Tonight:
 
 
 def one_family_loses(rng: np.random.Generator, n: int, night: int) -> Tonight:
-    """Better on the mix by 4 points and more, while one family loses just the margin."""
+    """Better on the mix by 6 points, while one family loses just the margin."""
     champion = np.array([0.8, 0.85, 0.85])
     fixed, broken = pair(champion, champion + np.array([0.10, 0.10, -MARGIN]), SHARED)
     return Tonight(np.broadcast_to(mixed(SHARES, fixed, broken), (n, 9)), np.ones(n, np.bool_))
