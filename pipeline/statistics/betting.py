@@ -3,7 +3,7 @@
 A bettor who doubts a claim starts with capital 1 and bets at odds that are fair, or worse, as long as the claim is
 true. So the capital is a non-negative supermartingale under the claim: it reaches 1 / alpha with probability alpha at
 most, however often it is read and whatever decides when to stop (Ville 1939). Both capitals here are functions of
-counts alone, so a verdict can be checked with a pocket calculator. docs/decisions/016-a-gate-for-every-night.md derives it.
+counts alone, so a verdict can be checked with a pocket calculator. See docs/decisions/016-a-gate-for-every-night.md.
 """
 
 from collections.abc import Callable

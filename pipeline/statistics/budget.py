@@ -4,7 +4,8 @@ The budget is money that pays for false promotions, 1 each. A night stakes part 
 claim that its candidate is no better; it promotes when stake times capital reaches 1, which is what it then pays.
 What is left of the stake comes back. While the claim is true every bet is fair, so
 money plus false promotions cannot grow on average: their expected number is at most the budget. No independence of
-nights is asked for, and stakes may follow from everything seen before. docs/decisions/016-a-gate-for-every-night.md has the proof.
+nights is asked for, and stakes may follow from everything seen before. The proof:
+docs/decisions/016-a-gate-for-every-night.md.
 """
 
 from dataclasses import dataclass
