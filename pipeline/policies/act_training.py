@@ -216,7 +216,8 @@ class _Trainer:
         rng = np.random.default_rng((self.seed, TRAIN, self.step))
         loss, hint = self.losses(*self.tensors(self.data.draw(rng, self.config.batch), rng))
         (loss + HINT * hint).backward()  # pyright: ignore[reportUnknownMemberType]
-        length = float(torch.linalg.vector_norm(self.optimiser.gradient))
+        linalg: Any = torch.linalg
+        length = float(linalg.vector_norm(self.optimiser.gradient))
         if length > LONGEST_GRADIENT:
             self.optimiser.gradient.mul_(LONGEST_GRADIENT / length)
         self.optimiser.step(self.step, one_cycle(self.step, self.config.steps, self.config.learning_rate))
