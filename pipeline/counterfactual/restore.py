@@ -40,6 +40,8 @@ def faults(moments: Sequence[Moment], lab: Lab) -> list[str | None]:
 def _misfit(moment: Moment, wanted: int) -> str | None:
     """Whether a moment cannot even be put back."""
     width = moment.engine.shape[0]
+    if not width or moment.controller.shape[0] != CONTROLLER_WIDTH:
+        return "no state of a simulator was recorded that could be put back"
     if width != wanted:
         return f"its state has {width} values and the robot's has {wanted}: another model was recorded"
     return None

@@ -55,6 +55,13 @@ def test_another_robot_is_refused_before_it_is_loaded(moments_at, attempts):
     assert "another model was recorded" in faults(moments_at(attempts, [0] * 4), bending)[0]
 
 
+def test_a_recording_without_a_simulators_state_is_refused(moments_at, attempts, lab):
+    real, *others = moments_at(attempts, [0] * 4)
+    bare = replace(real, engine=real.engine[:0], controller=real.controller[:0])
+    found = faults([bare, *others], lab)
+    assert found == ["no state of a simulator was recorded that could be put back", None, None, None]
+
+
 def test_a_policy_that_rides_along_a_recording_does_what_it_did_and_remembers_what_it_knew(aiming, attempts, same):
     for (_, trace), found in zip(attempts, ride(aiming(), [t for _, t in attempts]), strict=True):
         assert same(found.action, trace.action)
