@@ -55,7 +55,7 @@ def _rule(signals: Signals, name: str) -> TopicRule:
     return TopicRule(type=topic.type or None, rate_hz=_tidy((len(topic) - 1) / span),
                      max_gap_s=_tidy(max(2 * float(steps.max()), usual.gap_periods * topic.period_s)),
                      jitter_s=_tidy(max(2 * off, share * topic.period_s)),
-                     required=not name.startswith(("/policy/", "/reward/")))
+                     required=not name.startswith(("/policy/", "/reward/", "/signal/")))
 
 
 def _seen(reference: str, seen: Sequence[tuple[Rows, Column]], known: Mapping[str, Limit]) -> dict[str, Limit]:

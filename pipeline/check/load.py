@@ -21,7 +21,7 @@ from schemas.episode import Episode
 
 MAX_WIDTH = 64
 """Numbers a message above which a field is no signal but a cloud, a map or a state: it is left out."""
-UNSEEN = ("/sim/", "/tf", "/reward/", "/policy/", "/joint_commands/asked")
+UNSEEN = ("/sim/", "/tf", "/reward/", "/policy/", "/signal/", "/joint_commands/asked")
 """Topics whose numbers no robot senses or is sent, or no dataset takes; their stamps are checked all the same."""
 
 

@@ -17,6 +17,8 @@ type Pictures = NDArray[np.uint8]
 
 BURST = 6
 """Intervals that are looked at together: a whole number of bursts of 2 and of 3 messages."""
+EVENTS = "rcl_interfaces/msg/Log"
+"""Type of what is told when it happens, several at a time: it has no rhythm, however often it speaks."""
 THUMB = (16, 12)
 """Width and height of the grey pictures that camera checks look at [px]."""
 
@@ -77,7 +79,7 @@ class Topic:
     @cached_property
     def steady(self) -> bool:
         """Whether it speaks at a rate, not at events: 8 messages and more, most spans near the usual one."""
-        if len(self) < 8 or not self.period_s > 0:
+        if len(self) < 8 or not self.period_s > 0 or self.type == EVENTS:
             return False
         return float(np.mean(np.abs(self._spans_s - self.period_s) < 0.5 * self.period_s)) > 0.7
 

@@ -9,9 +9,12 @@ from mcap.reader import make_reader
 from pipeline.browsing.attempts import of_trace
 from pipeline.browsing.blueprint import PLOT_FOLDERS
 from pipeline.browsing.outline import outline
+from pipeline.check.load import read_recording
+from pipeline.check.run import check
 from pipeline.errors import RecordingError
 from pipeline.recording import read_episode, write_episode
 from pipeline.recording.live import LiveRecorder
+from schemas.contract import Contract
 
 RISK = {"distance": np.linspace(1, 2, 30), "warning": np.array([np.nan] + [0.25] * 29)}
 
@@ -58,6 +61,18 @@ def test_a_live_recording_holds_them_as_a_batch_does(tmp_path, begun, row):
     assert trace.signals["distance"].tolist() == [tick / 2 for tick in range(20)]
     assert np.isnan(trace.signals["warning"]).all()
     assert trace.sim_state.tolist() == [[1.0] * 3] * 20
+
+
+def test_no_check_takes_what_is_not_known_for_a_fault_of_the_robot(tmp_path, begun, row):
+    path = tmp_path / "a.mcap"
+    with LiveRecorder(path, begun(), attachments={}) as recorder:
+        for tick in range(40):
+            for candidate in ("a", "b") if tick % 4 == 0 else ():  # two events in one tick, in a rhythm
+                recorder.event("shadow", f"{candidate} late", tick=tick)
+            recorder.tick(tick, dataclasses.replace(row(tick), signals={"warning": np.nan}))
+        recorder.close()
+    found = check(read_recording(path), Contract(name="any")).findings
+    assert not [f for f in found if f.where.startswith(("/signal/", "/events"))]
 
 
 def test_the_viewer_has_a_plot_for_each(episode, trace_with):
