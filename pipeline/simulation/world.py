@@ -71,6 +71,7 @@ class World:
         self._finger = np.array([model.jnt_qposadr[joint[name]] for name in body.fingers])
         self._finger_dof = np.array([model.jnt_dofadr[joint[name]] for name in body.fingers])
         self._object = int(model.jnt_qposadr[joint["object"]])
+        self._object_dof = int(model.jnt_dofadr[joint["object"]])
         self._half, self._target = np.zeros(self.n), np.zeros((self.n, 3))
         self._applied = Applied(self.batch, model, self._dof)
         self._qpos, self._qvel, self._ctrl = (self.batch.bind(k) for k in ("qpos", "qvel", "ctrl"))
@@ -244,6 +245,24 @@ class World:
         self.command.ticks[ids] = 0
 
     # -- restoring --------------------------------------------------------------------------------------------------
+
+    def place(self, ids: Ids, joints: Array, speeds: Array, cube: Array, cube_speed: Array) -> None:
+        """Put robots and cubes where somebody believes them to be; what the controller remembers stays.
+
+        Args:
+            ids: places, k of them.
+            joints: joints [rad] and opening [m], shape (k, 7).
+            speeds: of the same [rad/s, m/s], shape (k, 7).
+            cube: centre x, y, z [m] and yaw [rad] of an upright cube, shape (k, 4).
+            cube_speed: along x, y, z [m/s], shape (k, 3).
+        """
+        row, at, dof = ids[:, None], self._object, self._object_dof
+        self._qpos[row, self._arm], self._qvel[row, self._dof] = joints[:, :6], speeds[:, :6]
+        self._qpos[row, self._finger], self._qvel[row, self._finger_dof] = joints[:, 6:] / 2, speeds[:, 6:] / 2
+        self._qpos[ids, at:at + 3], self._qvel[ids, dof:dof + 3] = cube[:, :3], cube_speed
+        half, none = cube[:, 3] / 2, np.zeros(len(ids))
+        self._qpos[ids, at + 3:at + 7] = np.column_stack([np.cos(half), none, none, np.sin(half)])
+        self._qvel[ids, dof + 3:dof + 6] = 0.0
 
     def save(self, ids: Ids) -> tuple[Array, Array]:
         """State rows: the engine's (mjSTATE_INTEGRATION) and the controller's, CONTROLLER_WIDTH wide."""
