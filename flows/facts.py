@@ -34,7 +34,11 @@ that. tests/flows/test_facts.py holds the list against the imports of the stages
 RECORDINGS_OF: Mapping[str, tuple[str, ...]] = MappingProxyType({
     "collect": ("stages/collect.py", "pipeline/simulation/expert.py"),
     "deploy": ("stages/deploy.py", "pipeline/triggers.py", "pipeline/twin/law.py", "pipeline/twin/twin.py",
-               "pipeline/policies/ensembling.py", "pipeline/policies/onnx_policy.py", "pipeline/policies/runtime.py"),
+               "pipeline/policies/ensembling.py", "pipeline/policies/onnx_policy.py", "pipeline/policies/runtime.py",
+               "pipeline/disagreement.py", "pipeline/policies/features.py", "pipeline/shadow/candidate.py",
+               "pipeline/shadow/limits.py", "pipeline/shadow/riders.py", "pipeline/shadow/targets.py",
+               "pipeline/shadow/wire.py", "pipeline/signals/neighbours.py", "pipeline/signals/tick.py",
+               "pipeline/signals/warning.py"),
     "harvest": ("stages/harvest.py", "pipeline/triggers.py", "pipeline/twin/law.py", "pipeline/twin/twin.py",
                 "pipeline/twin/operator.py", "pipeline/simulation/expert.py"),
 })

@@ -12,11 +12,13 @@ from pipeline.files import short_id
 from stages.build import READING
 
 SPARED = {
+    "pipeline/__init__.py": "a docstring",
     "pipeline/errors.py": "words of refusals; a refused recording has no bytes",
     "pipeline/files.py": "renames and sha256; short_id is pinned below",
     "pipeline/protocols.py": "types without behaviour",
     "pipeline/recording/summary.py": "reads back what was written",
     "pipeline/policies/onnx_guard.py": "refuses a policy or lets it pass as it is",
+    "pipeline/signals/curves.py": "means for a report",
     "schemas/base.py": "kinds of ids",
     "schemas/consent.py": "what a record says stands in the metadata itself",
     "schemas/counterfactual.py": "what was judged is no part of a recording; its thresholds stand in config.json",
