@@ -4,6 +4,7 @@ It does not know which outcomes belong to one scene, it plans a largest number o
 plan it stops about as early as an unpaired test can.
 """
 
+import math
 from dataclasses import dataclass
 from typing import cast
 
@@ -91,8 +92,9 @@ def operate(policy: StepPolicy, fixed: float, broken: float, both: float) -> Ope
 
 def _control_points(most: int, points: int) -> Grid:
     """Rates from 1 / most to 1/2: half even in log odds, dense near 0, half in arcsin sqrt, dense at 1/2."""
-    odds = 1 / (1 + np.geomspace(most - 1, 1, points // 2 + 1))
-    arcs = np.sin(np.linspace(np.arcsin(np.sqrt(1 / most)), np.pi / 4, points - points // 2 + 1)) ** 2
+    odds: Grid = 1 / (1 + np.geomspace(most - 1, 1, points // 2 + 1))
+    angles: Grid = np.linspace(math.asin(math.sqrt(1 / most)), math.pi / 4, points - points // 2 + 1, dtype=np.float64)
+    arcs: Grid = np.sin(angles) ** 2
     return np.unique(np.round(np.concatenate([odds, arcs]), 9))
 
 
