@@ -159,6 +159,10 @@ def show_result(console: Console, result: LoopResult, verdict: Verdict | None, r
     )
     for line in verdict_lines(verdict) if verdict else []:
         console.print(Text(line))
+    if result.shadow is not None:
+        console.print(Text(f"Shadow: {result.shadow.says}"), soft_wrap=True)
+    if result.worth is not None:
+        console.print(Text(f"Worth of the last batch: {result.worth.says}"), soft_wrap=True)
     console.print(
         f"{duration(result.wall_s)}, {result.peak_pss_mb:.0f} MB at most, seed {result.seed}, twin {result.twin}",
         highlight=False,

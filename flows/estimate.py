@@ -10,7 +10,7 @@ def plan(recipe: Recipe, *, control: bool) -> tuple[Step, ...]:
     """Every step of a whole loop, in order; must tell the same story as flows.loop.turn."""
     arms = ("loop", "control") if control else ("loop",)
     steps = [step for arm in arms for step in turn_steps(arm, recipe.generations)]
-    return (*steps, Step("loop", recipe.generations, "report"))
+    return (*steps, *(Step("loop", recipe.generations, stage) for stage in ("judge", "worth", "report")))
 
 
 def turn_steps(arm: str, last: int) -> Iterator[Step]:
@@ -54,6 +54,8 @@ def expected_s(step: Step, recipe: Recipe) -> float:
         "exam": 0.1 + 0.0057 * (recipe.exam.common + recipe.exam.rare),
         "deploy": 0.2 + 0.0095 * recipe.deploy.episodes,
         "harvest": 0.1 + 0.02 * harvest.corrections,
+        "judge": 0.0 if first else 0.5 + 0.02 * recipe.deploy.episodes,
+        "worth": 0.0 if first else 0.6 + 0.0026 * recipe.train.steps,
         "report": 1.0,
     }[step.stage]
 

@@ -12,7 +12,7 @@ from prefect.runtime import flow_run
 from flows.opening import FIRST_HELD_OUT_TWIN, open_order, order_of
 from flows.running import Running, Step, run_with, running
 from flows.steps_api import LoopSteps, StepResult
-from flows.tasks import augment, build, collect, deploy, exam, gate, harvest, release, report, train
+from flows.tasks import augment, build, collect, deploy, exam, gate, harvest, judge, release, report, train, worth
 from pipeline.store import store_root
 from schemas.summary import Generation
 
@@ -45,6 +45,8 @@ def closed_loop(
         if steps.control is not None:
             with run_with(replace(now, steps=steps.control, arm="control")):
                 turn(last)
+        judge(last)
+        worth(last)
         (page,) = report(last)
         show(steps, page)
         return page

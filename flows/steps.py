@@ -79,6 +79,18 @@ class Steps(ArmRun):
 
         return self.once(generation, "harvest", lambda: working.harvested(self, generation, progress))
 
+    def judge(self, generation: int, progress: Progress) -> StepResult:
+        """Who was right where the newest candidate would have acted otherwise in the last deployment."""
+        from flows import appraising
+
+        return self.once(generation, "judge", lambda: appraising.judged(self, generation))
+
+    def worth(self, generation: int, progress: Progress) -> StepResult:
+        """What the last lap's new episodes were worth, by one extra training."""
+        from flows import appraising
+
+        return self.once(generation, "worth", lambda: appraising.worth_of(self, generation, progress))
+
     def report(self, progress: Progress) -> StepResult:
         """The page; written anew whenever it is asked for."""
         from flows.reporting import write_report
@@ -88,10 +100,15 @@ class Steps(ArmRun):
 
     def rollback(self) -> StepResult:
         """Put the champion before the present one back."""
+        from flows import regression
+
         back = rollback(self.store.releases(self.run))
+        kept = regression.checked(self, self.store.policy(back.policy).generation, back.policy)
+        back = kept.mark(back)
         with self.store.commit(self.lease, self.run) as tx:
             tx.add_release(back)
-        return StepResult((back.policy,), f"release {back.number}: {back.policy} is champion again")
+            tx.add_regression_scenes(kept.fixed)
+        return StepResult((back.policy,), f"release {back.number}: {back.policy} is champion again{kept.says()}")
 
     def current(self, stage: str) -> int:
         """Generation at which `stage` runs next, or the last one where it is finished everywhere."""

@@ -22,9 +22,11 @@ STAGES: tuple[str, ...] = (
     "exam",
     "deploy",
     "harvest",
+    "judge",
+    "worth",
     "report",
 )
-"""Every stage, in the order of a lap."""
+"""Every stage, in the order of a lap; judge and worth follow the last one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +109,14 @@ class LoopSteps(Protocol):
 
     def harvest(self, generation: int, progress: Progress) -> StepResult:
         """Hard cases of this deployment and their corrections."""
+        ...
+
+    def judge(self, generation: int, progress: Progress) -> StepResult:
+        """Who was right where the newest candidate would have acted otherwise in the last deployment."""
+        ...
+
+    def worth(self, generation: int, progress: Progress) -> StepResult:
+        """What the last lap's new episodes were worth, by one extra training."""
         ...
 
     def report(self, progress: Progress) -> StepResult:

@@ -6,7 +6,17 @@ import numpy as np
 
 from flows.steps_api import STAGES
 from pipeline.statistics import compare, mcnemar, wilson
-from schemas.summary import AugmentReport, GateLine, Generation, Lap, LoopResult, Paired, TriggerReport
+from schemas.summary import (
+    AugmentReport,
+    GateLine,
+    Generation,
+    Lap,
+    LoopResult,
+    Paired,
+    ShadowLine,
+    TriggerReport,
+    WorthLine,
+)
 from schemas.verdict import Proportion
 
 if TYPE_CHECKING:
@@ -70,7 +80,15 @@ def result(steps: "Steps") -> LoopResult:
     else:
         paired = Paired(fixed=0, broken=0, p=1.0)
     return LoopResult(generations=generations(steps), control=generations(steps.control) if steps.control else None,
-                      paired=paired, wall_s=0.0, peak_pss_mb=0.0, seed=steps.seed, twin=steps.twin)
+                      paired=paired, wall_s=0.0, peak_pss_mb=0.0, seed=steps.seed, twin=steps.twin,
+                      shadow=_line(steps, "judge", "shadow", ShadowLine),
+                      worth=_line(steps, "worth", "worth", WorthLine))
+
+
+def _line[L: (ShadowLine, WorthLine)](steps: "Steps", stage: str, name: str, kind: type[L]) -> L | None:
+    """What a stage after the last lap found; None where it found nothing, or did not run."""
+    found = (outputs(steps, steps.recipe.generations, stage) or {}).get(name)
+    return None if found is None else kind.model_validate(found)
 
 
 def laps(steps: "Steps") -> tuple[Lap, ...]:

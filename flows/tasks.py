@@ -103,6 +103,18 @@ def harvest(generation: int) -> Ids:
 
 
 @_stage
+def judge(generation: int) -> Ids:
+    """Who was right where the newest candidate would have acted otherwise in the last deployment."""
+    return _run("judge", generation, lambda steps: steps.judge)
+
+
+@_stage
+def worth(generation: int) -> Ids:
+    """What the last lap's new episodes were worth, by one extra training."""
+    return _run("worth", generation, lambda steps: steps.worth)
+
+
+@_stage
 def report(generation: int) -> Ids:
     """The page that shows it all."""
     return _run("report", generation, lambda steps: lambda _, progress: steps.report(progress))
