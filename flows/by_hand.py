@@ -31,7 +31,10 @@ def run_stage(
     Raises:
         HardcaseError: no such run, or the stage refused.
     """
-    order = _order(run, recipe, seed, twin)
+    if stage == "train" and policy is not None:
+        order = recall(store_root(), run, policy)
+    else:
+        order = _order(run, recipe, seed, twin, policy)
     with open_order(order, store_root()) as steps, stage_bar(stage) as bar:
         task = bar.add_task(stage, total=None)
 

@@ -5,6 +5,7 @@ import hashlib
 import numpy as np
 import pytest
 
+from flows.by_hand import run_stage
 from flows.footage import filming
 from flows.forgetting import carried_out, planned
 from flows.opening import order_of, recall
@@ -132,11 +133,14 @@ def test_a_forgotten_demonstration_leaves_none_of_its_pictures(root, monkeypatch
     assert {hashlib.sha256(p.read_bytes()).hexdigest() for p in root.rglob("*.mp4")} < shown
 
 
-def test_a_kind_of_policy_chooses_its_recipe_and_its_run(root):
+def test_a_kind_of_policy_chooses_its_recipe_and_its_run(root, monkeypatch):
+    monkeypatch.setenv("HARDCASE_STORE", str(root))
     assert order_of(None, None, None, None, policy="act").recipe == load_recipe("act")
     assert recall(root, policy="act").recipe.name == "act-smoke"
-    with pytest.raises(StoreError, match="no run was begun here that trains chunked"):
-        recall(root, policy="chunked")
+    assert run_stage("train", policy="act")["resumed"]
+    with pytest.raises(StoreError, match="no run was begun here that trains chunked") as caught:
+        run_stage("train", policy="chunked")
+    assert caught.value.mend == "begin one: hardcase loop"
     with pytest.raises(ConfigError, match="sees, recipe 'default' keeps no pictures") as caught:
         order_of("default", None, None, None, policy="act")
     assert caught.value.mend == "use a recipe with a camera: --recipe act"
