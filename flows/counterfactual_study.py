@@ -15,7 +15,7 @@ from flows.measured import finished_loop
 from flows.steps import Steps
 from pipeline.files import atomic
 from pipeline.report.alone import alone
-from pipeline.report.charts import Line, around, scatter_chart
+from pipeline.report.charts import Axis, Line, scatter_chart
 from pipeline.simulation.tasks import load_task
 from pipeline.statistics import Interval, bootstrap_difference, predict_quality
 from schemas.counterfactual import Change, JudgeConfig
@@ -151,11 +151,12 @@ def draw(found: dict[str, Any], path: Path) -> None:
     told, low, high, was = (list(column) for column in zip(*rows, strict=True))
     tips = [f"seed {p['seed']}: foretold {_percent(p['disagreements'])}, measured {_percent(p['measured'])}"
             for p in found["pairs"]]
-    axis = around("measured on fresh starts, points", [*told, *was, *low, *high])
-    y = around("foretold", [*told, *was, *low, *high])
-    chart = scatter_chart("calibration", [Line("pairs", was, told, 0, low=low, high=high, tips=tips)], axis, y,
+    limit = 5 * np.ceil(np.abs([*told, *was, *low, *high]).max() / 5)
+    ticks = [float(t) for t in range(-100, 101, 10) if abs(t) <= limit]
+    x, y = (Axis(label, -limit, limit, ticks) for label in ("measured at the exam, points", "expected"))
+    chart = scatter_chart("calibration", [Line("pairs", was, told, 0, low=low, high=high, tips=tips)], x, y,
                           diagonal=True)
-    title = f"Expected (y) against measured change of success, points, {len(rows)} pairs"
+    title = f"Expected change of success (y), {len(rows)} pairs"
     with atomic(path) as stream:
         stream.write(alone(chart, title).encode())
 
