@@ -1,15 +1,15 @@
 """hardcase worth: a batch is judged by retraining with it and without it, the verdict kept and told."""
 
 import os
+from collections.abc import Sequence
 
 import numpy as np
-from pydantic import JsonValue
 
 from flows.arm_run import ArmRun, Made, no_rows
 from flows.by_hand import stage_bar
 from flows.consents import consents_now
 from flows.steps_api import Progress
-from flows.worth_batch import Batch, Order, batch_of, of_lap
+from flows.worth_batch import Batch, Order, batch_of, of_lap, parts_of
 from pipeline.errors import ConfigError
 from pipeline.lerobot_view.training_data import TrainingData
 from pipeline.store import Store, store_root
@@ -25,17 +25,21 @@ FOLDER = "worth"
 def run_worth(order: Order, *, as_json: bool) -> tuple[str, int]:
     """Judge a batch and keep the verdict; what to print, and the exit code: 1 where the batch hurts.
 
+    What a lap or version added is judged as a whole, and its recordings once more by themselves.
+
     Raises:
         HardcaseError: no such batch, or nothing to compare it with.
     """
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    with Store.open(store_root()) as store, stage_bar("worth") as progress:
+    with Store.open(store_root()) as store, stage_bar("worth") as shown_bar:
         batch = batch_of(store, order)
-        task = progress.add_task("worth", total=None)
-        found = judge(store, batch, seeds=order.seeds, scenes=order.scenes,
-                      progress=lambda done, total: progress.update(task, completed=done, total=total))
-        store.add_worth(found)
-    return found.model_dump_json() if as_json else shown(found), int(found.hurts)
+        asked = order.where is not None or bool(order.episodes)
+        task = shown_bar.add_task("worth", total=None)
+        found = judge_all(store, (batch,) if asked else parts_of(store, batch), seeds=order.seeds,
+                          scenes=order.scenes,
+                          progress=lambda done, total: shown_bar.update(task, completed=done, total=total))
+    text = f"[{','.join(w.model_dump_json() for w in found)}]" if as_json else "\n\n".join(map(shown, found))
+    return text, int(any(w.hurts for w in found))
 
 
 def list_worths(*, as_json: bool) -> str:
@@ -57,17 +61,35 @@ def judge(store: Store, batch: Batch, *, seeds: int = LEAST_SEEDS, scenes: int =
                  progress=progress)
 
 
-def judged_batch(run: ArmRun, generation: int, progress: Progress, *, seeds: int = LEAST_SEEDS) -> Made | None:
-    """Judge what a lap added to its version; None where it added nothing.
+def judge_all(store: Store, batches: Sequence[Batch], *, seeds: int = LEAST_SEEDS, scenes: int = SCENES,
+              progress: Progress | None = None) -> list[BatchWorth]:
+    """Judge batches of one version and keep the verdicts; what they have in common is trained once."""
+    found: list[BatchWorth] = []
+    for k, batch in enumerate(batches):
+        found.append(judge(store, batch, seeds=seeds, scenes=scenes, progress=_part(progress, k, len(batches))))
+        store.add_worth(found[-1])
+    return found
+
+
+def judged_batch(run: ArmRun, generation: int, progress: Progress, *, seeds: int = LEAST_SEEDS,
+                 scenes: int = SCENES) -> Made | None:
+    """Judge what a lap added to its version, and its recordings by themselves; None where it added nothing.
 
     What hurts is left out of the next version, and a candidate that learnt from it is not released.
     """
     batch = of_lap(run, generation)
     if batch is None:
         return None
-    found = judge(run.store, batch, seeds=seeds, progress=progress)
-    run.store.add_worth(found)
-    return Made((found.id,), f"{found.decision}: {found.reason}", _numbers(found), no_rows)
+    found = judge_all(run.store, parts_of(run.store, batch), seeds=seeds, scenes=scenes, progress=progress)
+    says = "; ".join(f"{w.says.partition(':')[0]} {w.decision}: {w.reason}" for w in found)
+    return Made(tuple(w.id for w in found), says, {
+        "decisions": [w.decision for w in found], "points": [round(100 * w.parts[0].difference, 2) for w in found],
+    }, no_rows)
+
+
+def _part(progress: Progress | None, k: int, n: int) -> Progress | None:
+    """Progress of one of n batches as progress of all."""
+    return None if progress is None else lambda done, total: progress(k * total + done, n * total)
 
 
 def indicated(run: ArmRun, generation: int, *, scenes: int = SCENES) -> BatchWorth | None:
@@ -106,10 +128,6 @@ def _cells(part: WorthPart) -> tuple[str, ...]:
     interval = "" if part.low is None or part.high is None else f"{100 * part.low:+.1f} {100 * part.high:+.1f}"
     return (*(f"{rate:.3f}" for rate in rates), f"{100 * part.difference:+.1f}", interval,
             "" if part.p_holm is None else f"{part.p_holm:.2g}")
-
-
-def _numbers(found: BatchWorth) -> dict[str, JsonValue]:
-    return {"worth": found.id, "decision": found.decision, "points": round(100 * found.parts[0].difference, 2)}
 
 
 def data_of(store: Store, batch: Batch) -> TrainingData:

@@ -3,7 +3,7 @@
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from pipeline.query import parse
 from pipeline.recipes import recipe_from
 from pipeline.store import Store
 from schemas.dataset import DatasetVersion
+from schemas.episode import VARIANTS
 from schemas.recipe import Recipe
 from schemas.worth import LEAST_SEEDS
 from stages.worth import SCENES
@@ -68,6 +69,19 @@ def batch_of(store: Store, order: Order) -> Batch:
         raise ConfigError("the batch is the whole version: there is nothing to compare it with", where=where,
                           mend="choose a part: hardcase worth VERSION --where 'source == corrected'")
     return Batch(version, chosen, f"{says}: {_counted(store, chosen)}", recipe, seed, rare)
+
+
+def parts_of(store: Store, batch: Batch) -> tuple[Batch, ...]:
+    """A batch, and by itself what of it was recorded.
+
+    Variants begin where the recordings do, and may help so much that bad recordings among them are not seen
+    (docs/results.md): so what people and robots gave has to stand on its own.
+    """
+    recorded = tuple(e.id for e in store.episodes(batch.episodes) if e.origin not in VARIANTS)
+    if not 0 < len(recorded) < len(batch.episodes):
+        return (batch,)
+    says = f"the recordings in {batch.says.partition(':')[0]}: {_counted(store, recorded)}"
+    return batch, replace(batch, episodes=recorded, says=says)
 
 
 def of_lap(run: ArmRun, generation: int) -> Batch | None:

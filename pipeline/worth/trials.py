@@ -27,6 +27,8 @@ type Progress = Callable[[int, int], None]
 
 PROCESSES = 2
 """Trials side by side, each on one thread."""
+FEW = 3
+"""Trials that are not worth the start of other processes, which takes as long as half of one."""
 
 SOURCES = ("worth/trial.py", "worth/trials.py", "triggers.py",
            *(f"simulation/{name}.py" for name in ("bodies", "kinematics", "model", "physics", "rollout", "scenes",
@@ -62,7 +64,7 @@ def run_trials(trials: Sequence[Trial], recipe: Recipe, scenes: Sequence[SceneSp
     left = {file: trial for file, trial in zip(files, trials, strict=True) if not file.exists()}
     told = progress or _silent
     told(len(files) - len(left), len(files))
-    if processes > 1 and len(left) > 1:
+    if processes > 1 and len(left) > FEW:
         with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as workers:
             jobs = [workers.submit(_one, trial, recipe, scenes, file) for file, trial in left.items()]
             for done, job in enumerate(as_completed(jobs), len(files) - len(left) + 1):

@@ -16,33 +16,40 @@ def version(root):
         return next(v for v in store.versions() if v.parent)
 
 
-def test_what_the_last_lap_added_is_judged_and_the_verdict_kept(root, version, hardcase):
-    code, out, _ = hardcase("worth", *SMALL)
-    assert code == 0 and out.startswith("INCONCLUSIVE: ") and "1 seed, indicative" in out
-    assert "what lap 1 added" in out and "3 corrected" in out
+def test_what_the_last_lap_added_is_judged_its_recordings_by_themselves_and_the_verdicts_kept(root, version, hardcase):
+    code, out, err = hardcase("worth", *SMALL)
+    assert code == 0, err
+    assert out.startswith("INCONCLUSIVE: ") and "1 seed, indicative" in out
+    assert "  what lap 1 added" in out and "  the recordings in what lap 1 added" in out and "(3 corrected)" in out
     with Store.open(root) as store:
-        (kept,) = store.worths()
-        assert kept.version == version.id and len(kept.episodes) == len(version.episodes) - 13
-    code, told, _ = hardcase("why", kept.id)
+        whole, recorded = store.worths()
+        assert whole.version == version.id and len(whole.episodes) == len(version.episodes) - 13
+        assert len(recorded.episodes) == 3 and set(recorded.episodes) < set(whole.episodes)
+        assert recorded.parts[0].with_batch == whole.parts[0].with_batch, "both compare with the same policies"
+    code, told, _ = hardcase("why", whole.id)
     assert code == 0 and "INCONCLUSIVE" in told and version.id in told
     code, told, _ = hardcase("why", version.id)
-    assert f"{kept.id} INCONCLUSIVE" in told
+    assert f"{whole.id} INCONCLUSIVE" in told
 
 
 def test_a_query_and_named_episodes_choose_a_batch_and_json_holds_the_whole_verdict(root, version, hardcase):
-    code, out, _ = hardcase("worth", 1, "--where", "source == corrected", *SMALL, "--json")
-    asked = BatchWorth.model_validate_json(out)
-    assert code == 0 and len(asked.episodes) == 3 and asked.parts[0].name == "all"
+    """Two seeds a side: four trainings, two at a time in processes of their own."""
+    code, out, err = hardcase("worth", 1, "--where", "source == corrected", "--seeds", 2, "--scenes", 20, "--json")
+    assert code == 0, err
+    (asked,) = [BatchWorth.model_validate(w) for w in json.loads(out)]
+    assert len(asked.episodes) == 3 and asked.parts[0].name == "all" and len(asked.seeds_with) == 2
     words = [w for e in asked.episodes for w in ("--episode", e[:8])]
-    code, out, _ = hardcase("worth", version.id[:8], *words, *SMALL, "--json")
-    named = json.loads(out)
-    assert named["batch"] == asked.batch and named["parts"][0]["without"] == list(asked.parts[0].without)
+    code, out, err = hardcase("worth", version.id[:8], *words, *SMALL, "--json")
+    assert code == 0, err
+    (named,) = json.loads(out)
+    assert named["batch"] == asked.batch and named["parts"][0]["without"] == list(asked.parts[0].without[:1])
 
 
 def test_what_was_cut_off_goes_on_where_it_was(root, hardcase):
     first = hardcase("worth", *SMALL)[1]
+    assert first.startswith("INCONCLUSIVE")
     done = {f: f.stat().st_mtime_ns for f in (root / "worth").iterdir()}
-    lost, kept = done
+    lost, kept, _ = done
     lost.unlink()
     assert hardcase("worth", *SMALL)[1] == first
     assert {f for f in (root / "worth").iterdir()} == set(done)

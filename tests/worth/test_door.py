@@ -5,7 +5,7 @@ import json
 import pytest
 
 from flows.learning import released
-from flows.worth import indicated
+from flows.worth import indicated, judged_batch
 from flows.worth_door import held_back
 from pipeline.errors import GateError
 from schemas.worth import BatchWorth, WorthPart
@@ -108,3 +108,12 @@ def test_the_list_shows_what_is_kept_out_and_why(steps, verdict_on, corrections,
     code, out, _ = hardcase("worth", "--list")
     assert code == 0 and worth.id in out and "HURTS" in out and "-5.0" in out
     assert BatchWorth.model_validate(json.loads(hardcase("worth", "--list", "--json")[1])[0]) == worth
+
+
+def test_a_stage_of_the_loop_judges_what_a_lap_added_and_keeps_the_verdicts(steps):
+    seen = []
+    made = judged_batch(steps, 1, lambda done, total: seen.append((done, total)), seeds=1, scenes=20)
+    assert made.ids == tuple(w.id for w in steps.store.worths()) and len(made.ids) == 2
+    assert made.says.count("INCONCLUSIVE") == 2 and "the recordings in what lap 1 added" in made.says
+    assert seen[-1] == (4, 4) and seen == sorted(seen)
+    assert judged_batch(steps, 0, quiet) is None
