@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.protocols import Array, Policy
+from pipeline.simulation.appearance import Look
 from pipeline.simulation.eyes import with_eyes
 from pipeline.simulation.rollout import rollout
 from pipeline.simulation.tasks import load_task, sample_scene, scene_seed
@@ -27,12 +28,12 @@ class ExamResult:
     """Reward term -> mean by tick."""
 
 
-def exam(policy: Policy, recipe: Recipe, *, seed: int, twin: int) -> ExamResult:
-    """Play every exam scene on the twin."""
+def exam(policy: Policy, recipe: Recipe, *, seed: int, twin: int, look: Look | None = None) -> ExamResult:
+    """Play every exam scene on the twin; for a policy that sees it looks as the twin does, or as `look` says."""
     scenes = exam_scenes(recipe, seed=seed, twin=twin)
     world = twin_world(draw_twin(twin), scenes, threads=recipe.threads)
     policy.reset(world.n)
-    with with_eyes(policy, world, [twin_look(twin)] * world.n) as driver:
+    with with_eyes(policy, world, [look or twin_look(twin)] * world.n) as driver:
         result = rollout(world, driver, with_rewards=True)
     return ExamResult(result.success, tuple(s.stratum for s in scenes), result.rewards)
 
