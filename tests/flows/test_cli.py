@@ -43,7 +43,7 @@ def test_the_command_line_loads_nothing_heavy_by_itself(heavy):
     ("arguments", "what", "mend"),
     [
         (("loop", "--recipe", "smke"), "unknown recipe 'smke'", "use one of: default, smoke"),
-        (("loop", "--generations", "1", "--recipe", "no/file.yaml"), "no such recipe file", "default, smoke"),
+        (("loop", "--generations", "1", "--recipe", "no/file.yaml"), "no such recipe file", "default, nightly, smoke"),
         (("why", "0123456789abcdef"), "there is no store here", "hardcase loop"),
         (("train",), "there is no store here", "hardcase loop"),
         (("gc",), "there is no store here", "hardcase loop"),
