@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from flows import facts, nights
+from flows import facts, nights, regression
 from flows.arm_run import ArmRun, Made, no_rows
 from flows.footage import filming, shown
 from flows.steps_api import Progress
@@ -163,10 +163,13 @@ def released(run: ArmRun, generation: int) -> Made:
         if (held := held_back(run, verdict)) is not None:
             return held
         new = release(verdict, champion, run.store.policy(verdict.candidate))
-        if (back := nights.returned(run, generation, new)) is not None:
-            return nights.rolled_back(new, back)
-        return Made((new.policy,), f"{verdict.decision}: release {new.number}", {"released": True},
-                    lambda tx: tx.add_release(new))
+        back = nights.returned(run, generation, new)
+        kept = regression.checked(run, generation, new.policy if back is None else back.policy)
+        if back is not None:
+            return kept.joined(nights.rolled_back(new, kept.mark(back)))
+        new = kept.mark(new)
+        return kept.joined(Made((new.policy,), f"{verdict.decision}: release {new.number}", {"released": True},
+                                lambda tx: tx.add_release(new)))
     if champion is None:
         raise GateError(f"generation 0 is not good enough to deploy: {verdict.reason}", where=f"run {run.run}",
                         mend="collect more demonstrations, or lower gate.bootstrap_success in the recipe")

@@ -102,12 +102,6 @@ def rolled_back(new: Release, back: Release) -> Made:
     return Made((back.policy,), says, {"released": False}, write)
 
 
-def regression_set(run: ArmRun) -> list[SceneSpec]:
-    """The starts of every hard case of this run that was corrected, in the order of their harvest: it only grows."""
-    cases = run.store.hard_cases(run=run.run, corrected=True)
-    return [e.scene for e in run.store.episodes(list(dict.fromkeys(c.episode for c in cases)))]
-
-
 def books(run: ArmRun, generation: int, champion: str, night: NightlyConfig) -> Books:
     """Where budget and anchor stand; a run by hand has a night a lap, one by the clock a day number."""
     last = next(reversed(run.store.nights(run.run)), None)
@@ -125,6 +119,7 @@ def _play(run: ArmRun, generation: int, against: str, staked: float, sequence: i
     recipe, candidate, mix = run.recipe, run.candidate(generation), _mix(run)
     policies = {p: run.policy(p) for p in (candidate, against)}
     told = run.material.outputs(generation, "train").get("selection")
+    kept = run.store.regression_scenes(run=run.run)
 
     def scenes(start: int, stop: int) -> list[SceneSpec]:
         return night_scenes(recipe.task, recipe.robot, recipe.scene, seed=run.seed, generation=generation,
@@ -133,7 +128,8 @@ def _play(run: ArmRun, generation: int, against: str, staked: float, sequence: i
     return judge_tonight(
         candidate, against, generation=generation, stake=staked, families=tuple(mix), scenes=scenes,
         evaluate=lambda p, s: evaluate(policies[p], s, threads=recipe.threads).success, config=recipe.gate,
-        regression=regression_set(run), again=played_again, progress=progress,
+        regression=[s.scene for s in kept], again=played_again, named={s.scene.seed: s.family for s in kept},
+        progress=progress,
         selection=Selection.model_validate(told) if told else None)
 
 

@@ -8,6 +8,7 @@ from pydantic import JsonValue
 from flows import facts, summary
 from flows.arm_run import ArmRun, Made, no_rows
 from flows.judging import judged_at
+from flows.mining import mined_at
 from flows.seeing import filmed, sight_of
 from flows.signalling import neighbours_of
 from flows.steps_api import Progress
@@ -19,7 +20,8 @@ from schemas.hardcase import HardCase
 from schemas.scene import SceneSpec
 from stages.deploy import deploy, deploy_scenes
 from stages.exam import ExamResult, exam, success_by
-from stages.harvest import Attempt, Harvested, demonstrate, harvest
+from stages.harvest import Attempt, Harvested, demonstrate, hard_cases, harvest
+from stages.mine import Mined
 
 OTHER_STARTS = 500_000
 """Added to the seed of a control arm's random starts, so that they are none of the loop's."""
@@ -84,10 +86,12 @@ def harvested(run: ArmRun, generation: int, progress: Progress) -> Made:
     if new in ("random", "random-seconds"):
         return _at_random_starts(run, generation, same_seconds=new == "random-seconds")
     attempts, judged = _to_correct(run, generation)
+    cases = hard_cases(attempts, generation, run.name) if judged is None else judged
+    told = mined_at(run, generation, cases, attempts)
     done = harvest(attempts, run.recipe, twin=run.twin, generation=generation, folder=run.folder(),
-                   software=facts.software("harvest"), arm=run.name, progress=progress, judged=judged,
-                   record_corrections=new == "corrections")
-    return _corrected(run, done) if new == "corrections" else _at_failed_starts(run, generation, attempts, done)
+                   software=facts.software("harvest"), arm=run.name, progress=progress, judged=told.cases,
+                   ranked=[place.case for place in told.queue], record_corrections=new == "corrections")
+    return _corrected(run, done, told) if new == "corrections" else _at_failed_starts(run, generation, attempts, done)
 
 
 def _to_correct(run: ArmRun, generation: int) -> tuple[list[Attempt], list[HardCase] | None]:
@@ -101,14 +105,16 @@ def _to_correct(run: ArmRun, generation: int) -> tuple[list[Attempt], list[HardC
     return attempts, cases_of(report.judgements, generation, run.name)
 
 
-def _corrected(run: ArmRun, done: Harvested) -> Made:
+def _corrected(run: ArmRun, done: Harvested, told: Mined) -> Made:
     good = sum(c.corrected for c in done.cases)
     recorded = filmed(done.recorded, run.recipe, run.twin)
-    made = run.recorded(recorded, f"{len(done.cases)} hard cases, {good} of {len(done.recorded)} corrected",
+    new = f", new: {', '.join(f.name for f in told.new)}" if told.new else ""
+    made = run.recorded(recorded, f"{len(done.cases)} hard cases, {good} of {len(done.recorded)} corrected{new}",
                         {"robot_s": done.robot_s, "asked": len(done.recorded), "cases": [c.id for c in done.cases]})
 
     def write(tx: Transaction) -> None:
         made.write(tx)
+        tx.add_families(told.new)
         tx.add_hard_cases(done.cases)
 
     return Made(made.ids, made.says, made.numbers, write)

@@ -6,6 +6,11 @@ from schemas.base import Frozen, ShortId
 from schemas.counterfactual import Judgement, Wrong
 
 
+def _not_mined(value: object) -> bool:
+    """Nor about families, before they were looked for."""
+    return value is None
+
+
 def _not_judged(value: object) -> bool:
     """A case that no judgement made says nothing about judgements, as before there were any."""
     return value is None
@@ -26,3 +31,7 @@ class HardCase(Frozen):
     wrong: Wrong | None = Field(default=None, exclude_if=_not_judged, description="who was wrong there for certain")
     judgement: Judgement | None = Field(
         default=None, exclude_if=_not_judged, description="both policies, their draws, and why the wrong one failed")
+    found: ShortId | None = Field(default=None, exclude_if=_not_mined, description="failure family that it was found "
+                                  "to belong to, whatever trigger noticed it")
+    subtask: str | None = Field(default=None, exclude_if=_not_mined, description="the first that was not finished")
+    begins: int | None = Field(default=None, ge=0, exclude_if=_not_mined, description="tick at which that began")

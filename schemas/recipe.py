@@ -23,6 +23,11 @@ def _off(flag: object) -> bool:
     return not flag
 
 
+def _as_ever(rule: object) -> bool:
+    """What every recipe did before it could be named."""
+    return rule in ("in-turn", "trigger")
+
+
 def _a_quarter(shrink: object) -> bool:
     """The default of a number that only one kind of policy reads says nothing, either."""
     return shrink == 4
@@ -193,6 +198,12 @@ class HarvestConfig(Frozen):
     rewind_ticks: int = Field(default=10, ge=0, description="oracle arm only")
     disagreement: LastingConfig | None = Field(
         default=None, exclude_if=_none_given, description="a disagreement that lasts stops an attempt too")
+    order: Literal["in-turn", "value", "random"] = Field(
+        default="in-turn", exclude_if=_as_ever, description="which failures are corrected: in turn from every kind of "
+        "start, by expected value (docs/mining.md), or any: the control")
+    aim: Literal["trigger", "subtask"] = Field(
+        default="trigger", exclude_if=_as_ever, description="where a correction begins: where the attempt was stopped, "
+        "or where the subtask began in which it went wrong")
     judge: JudgeConfig | None = Field(
         default=None, exclude_if=_none_given, description="correct where the policy in the champion's shadow or the "
         "champion was judged wrong, and nowhere else; where a trigger fired if not given")

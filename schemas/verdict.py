@@ -56,6 +56,7 @@ class LostScene(Frozen):
     stratum: str
     candidate: int = Field(ge=0, description="successes")
     champion: int = Field(ge=0, description="successes, over as many perception seeds")
+    family: str = Field(default="", description="failure family that it was fixed in")
 
 
 class Regression(Frozen):

@@ -12,6 +12,7 @@ from pipeline.protocols import Array
 from pipeline.simulation.appearance import randomize_look
 from pipeline.simulation.bodies import load_body
 from pipeline.simulation.model import compose
+from pipeline.simulation.perceived import as_perceived
 from pipeline.simulation.physics import from_draws, randomize
 from pipeline.simulation.recordings import episode_id
 from pipeline.simulation.rollout import rollout
@@ -20,7 +21,6 @@ from pipeline.simulation.tracing import Tracer
 from pipeline.simulation.variants import Path, Playback, path_of, retarget, survival
 from pipeline.simulation.world import HOME, World
 from pipeline.trace import Trace
-from pipeline.triggers import stratum_of
 from schemas.episode import Episode, Outcome, Segment
 from schemas.recipe import AugmentConfig
 from schemas.scene import SceneSpec
@@ -120,7 +120,7 @@ class _Plan:
         words = (self.seed, self.generation, 0 if transform == "replay" else 1, i)
         rng = np.random.default_rng([17, *words])
         parent, frames = parents[int(rng.integers(len(parents)))] if self._elsewhere else parents[i % len(parents)]
-        scene = _perceived(parent, frames).model_copy(update={
+        scene = as_perceived(parent.scene, frames.environment[0]).model_copy(update={
             "family": "augment", "seed": scene_seed("augment", *words), "draws": randomize(rng, self.config.widen)})
         if self.config.appearance:  # from a generator of its own: physics and start are those of a run without looks
             look = randomize_look(np.random.default_rng([19, *words]), self.config.widen)
@@ -145,14 +145,6 @@ class _Plan:
         return bool(self.strata or self.near)
 
 
-def _perceived(parent: Episode, frames: Frames) -> SceneSpec:
-    """The parent's start as its robot perceived it: the truth of a deployed attempt is not ours to know."""
-    x, y, z, yaw, *target = (float(v) for v in frames.environment[0])
-    return parent.scene.model_copy(update={
-        "object_xy_m": (x, y), "object_yaw_rad": yaw, "target_xy_m": (target[0], target[1]), "twin": None,
-        "object_half_m": load_task(parent.scene.task).nearest_half(z), "stratum": stratum_of(frames.environment[0])})
-
-
 def _within(strata: Sequence[str], scene: SceneSpec, rng: np.random.Generator) -> SceneSpec:
     """A start of one of the strata, with the object of `scene`."""
     fresh = sample_scene(scene.task, "augment", scene.seed, strata[int(rng.integers(len(strata)))],
@@ -162,7 +154,7 @@ def _within(strata: Sequence[str], scene: SceneSpec, rng: np.random.Generator) -
 
 def _close_to(place: Parent, scene: SceneSpec, rng: np.random.Generator) -> SceneSpec:
     """A start in the neighbourhood of another attempt's, with an object of the size perceived there, to any mark."""
-    there = _perceived(*place)
+    there = as_perceived(place[0].scene, place[1].environment[0])
     x, y = (a + rng.uniform(-NEARBY_M, NEARBY_M) for a in there.object_xy_m)
     return scene.model_copy(update={
         "object_xy_m": (float(x), float(y)), "object_yaw_rad": float(rng.uniform(-np.pi / 4, np.pi / 4)),

@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from pipeline.errors import ConfigError
 from pipeline.files import short_id
 from pipeline.simulation.recordings import Recorded, episode_id, record
 from pipeline.simulation.rollout import rollout
@@ -50,16 +51,35 @@ def hard_cases(attempts: Sequence[Attempt], generation: int, arm: str = "") -> l
     ]
 
 
-def choose(cases: Sequence[HardCase], count: int) -> list[HardCase]:
-    """Cases to correct: in turn from every kind of start, so that no frequent kind crowds out a rare one."""
+def choose(cases: Sequence[HardCase], config: HarvestConfig, ranked: Sequence[str] = ()) -> list[HardCase]:
+    """Cases to correct, as many as the recipe allows, by its named rule; in turn from every kind of start where it
+    names none, so that no frequent kind crowds out a rare one.
+
+    Args:
+        cases: of one lap.
+        config: `corrections` and `order`.
+        ranked: ids of all cases, the one that is worth most first: what the order 'value' goes by.
+
+    Raises:
+        ConfigError: the order is 'value' and a case has no place in the queue.
+    """
+    if config.order == "value":
+        place = {id: k for k, id in enumerate(ranked)}
+        if missing := [c.id for c in cases if c.id not in place]:
+            raise ConfigError(f"hard case {missing[0]} has no place in the queue", where="harvest.order: value",
+                              mend="hand in the queue of stages.mine.mine, made of the same cases")
+        return sorted(cases, key=lambda c: place[c.id])[:config.corrections]
+    if config.order == "random":
+        return sorted(cases, key=lambda c: short_id("any", c.id))[:config.corrections]
     queues = [[c for c in cases if c.stratum == name] for name in dict.fromkeys(c.stratum for c in cases)]
     turns = (queue[k] for k in range(max(map(len, queues), default=0)) for queue in queues if k < len(queue))
-    return list(turns)[:count]
+    return list(turns)[:config.corrections]
 
 
 def harvest(attempts: Sequence[Attempt], recipe: Recipe, *, twin: int, generation: int, folder: Path,
             software: Mapping[str, str], arm: str = "", record_corrections: bool = True,
-            judged: Sequence[HardCase] | None = None, progress: Callable[[int, int], None] | None = None) -> Harvested:
+            judged: Sequence[HardCase] | None = None, ranked: Sequence[str] = (),
+            progress: Callable[[int, int], None] | None = None) -> Harvested:
     """Correct hard cases on the robot as it stands; attempt and correction form one episode.
 
     Args:
@@ -71,12 +91,13 @@ def harvest(attempts: Sequence[Attempt], recipe: Recipe, *, twin: int, generatio
         software: strings for each file's metadata record.
         arm: name of the arm of a study; its hard cases are its own.
         record_corrections: False only chooses the cases.
-        judged: moments at which a policy was judged wrong, in the order in which they are corrected; they take the
-            place of the attempts that a trigger stopped.
+        judged: cases that were made already, in their order: moments at which a policy was judged wrong, or cases that
+            were told apart; they take the place of the attempts that a trigger stopped.
+        ranked: ids of the cases by what their correction is worth, for the order 'value'.
         progress: called as (corrections done, corrections in all).
     """
     cases, config = hard_cases(attempts, generation, arm) if judged is None else list(judged), recipe.harvest
-    chosen = choose(cases, config.corrections)
+    chosen = choose(cases, config, ranked)
     if not chosen or not record_corrections:
         return Harvested(tuple(cases), tuple(chosen), (), 0.0)
     by_id = {e.id: (e, t) for e, t in attempts}
@@ -124,8 +145,11 @@ def _taken(episode: Episode, trace: Trace, case: HardCase, config: HarvestConfig
 
     A judged case is taken over where both policies still stood alike: on a robot somebody sets the start up again
     and has the recorded commands played to that moment, which on the twin gives the recorded state itself.
+    In the same way a correction that is aimed at the subtask begins where that began.
     """
     stop = len(trace) - config.rewind_ticks if config.oracle else len(trace)
+    if config.aim == "subtask" and case.begins is not None:
+        stop = min(stop, case.begins)
     stop = max(1, stop if case.judgement is None else case.tick)
     return episode, trace_slice(trace, stop)
 

@@ -1,7 +1,8 @@
 """The nightly gate: candidate against champion on tonight's scenes, on a part of the year's error budget."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import exp, log
+from types import MappingProxyType
 
 import numpy as np
 
@@ -19,10 +20,12 @@ from schemas.verdict import Capital, Look, LostScene, NightTest, Regression, Sel
 type Again = Callable[[SceneSpec, int], Sequence[SceneSpec]]
 """(regression scene, times) -> the same start so many times, in simulation, each under a perception seed of its own."""
 
+NO_NAMES: Mapping[int, str] = MappingProxyType({})
+
 
 def judge_tonight(candidate: str, champion: str, *, generation: int, stake: float, families: Sequence[str],
                   scenes: Scenes, evaluate: Evaluate, config: GateConfig, regression: Sequence[SceneSpec] = (),
-                  again: Again | None = None, selection: Selection | None = None,
+                  again: Again | None = None, named: Mapping[int, str] = NO_NAMES, selection: Selection | None = None,
                   progress: Progress | None = None) -> Verdict:
     """Judge a candidate tonight; PASS is wrong with probability `stake` at most, however soon it is said.
 
@@ -41,6 +44,7 @@ def judge_tonight(candidate: str, champion: str, *, generation: int, stake: floa
         config: margin, alpha of FAIL, and `nightly`.
         regression: scenes that no release may lose.
         again: plays one of them several times.
+        named: seed of a regression scene -> failure family, for the verdict's words.
         selection: how the candidate was chosen among its trainings, for the record.
         progress: told (scenes played, scenes at most) after each batch.
 
@@ -63,7 +67,7 @@ def judge_tonight(candidate: str, champion: str, *, generation: int, stake: floa
             break
     vetoes = None
     if ruling.passed[0] and again is not None and regression:
-        vetoes = _vetoes(trial, champion, evaluate, regression, again, night)
+        vetoes = _vetoes(trial, champion, evaluate, regression, again, night, named)
     return _verdict(trial, champion, generation, stake, tally, families, ruling, config, vetoes, selection)
 
 
@@ -94,7 +98,7 @@ def _tally(trial: Trial, champion: str, families: Sequence[str]) -> Tally:
 
 
 def _vetoes(trial: Trial, champion: str, evaluate: Evaluate, regression: Sequence[SceneSpec], again: Again,
-            night: NightlyConfig) -> Regression:
+            night: NightlyConfig, named: Mapping[int, str]) -> Regression:
     """The regression scenes that the candidate loses twice: what seems lost is played once more, under other seeds."""
     seeds, where = night.regression_seeds, "regression scenes"
     copies = [tuple(again(scene, 2 * seeds)) for scene in regression]
@@ -115,8 +119,8 @@ def _vetoes(trial: Trial, champion: str, evaluate: Evaluate, regression: Sequenc
         rows = [k for k in rows if champions[k] == seeds]
         for k in rows:
             new[k], old[k] = new[k] + candidates[k], old[k] + champions[k]
-    lost = tuple(LostScene(seed=regression[k].seed, stratum=regression[k].stratum, candidate=new[k], champion=old[k])
-                 for k in rows)
+    lost = tuple(LostScene(seed=regression[k].seed, stratum=regression[k].stratum, candidate=new[k], champion=old[k],
+                           family=named.get(regression[k].seed, "")) for k in rows)
     return Regression(scenes=len(copies), seeds=seeds, at_most=night.regression_lost, lost=lost,
                       chance=chance_of_a_veto(len(copies), seeds, night.regression_lost))
 
@@ -175,7 +179,7 @@ def _reason(decision: str, strata: Sequence[StratumResult], tonight: NightTest, 
     if decision == "PASS":
         return f"gain of {seen}; every family loses less than {margin:.1%}; wrong with {tonight.stake:.2g} at most"
     if decision == "FAIL" and tonight.regression and tonight.regression.lost:
-        names = ", ".join(f"{s.stratum} {s.seed}" for s in tonight.regression.lost[:5])
+        names = ", ".join(f"{s.family} {s.stratum} {s.seed}".strip() for s in tonight.regression.lost[:5])
         return (f"veto: loses {len(tonight.regression.lost)} of {tonight.regression.scenes} regression scenes that the "
                 f"champion always solves: {names}")
     if decision == "FAIL":

@@ -141,6 +141,20 @@ MIGRATIONS: tuple[str, ...] = (
         PRIMARY KEY (run, generation)
     ) STRICT;
     """,
+    """
+    CREATE TABLE failure_family (
+        place INTEGER PRIMARY KEY, id TEXT NOT NULL UNIQUE,
+        medoid TEXT NOT NULL REFERENCES episode (id) ON DELETE CASCADE,
+        generation INTEGER NOT NULL, json TEXT NOT NULL
+    ) STRICT;
+    CREATE INDEX failure_family_medoid ON failure_family (medoid);
+    CREATE TABLE regression_scene (
+        place INTEGER PRIMARY KEY, id TEXT NOT NULL UNIQUE,
+        hard_case TEXT NOT NULL REFERENCES hard_case (id) ON DELETE CASCADE,
+        generation INTEGER NOT NULL, json TEXT NOT NULL
+    ) STRICT;
+    CREATE INDEX regression_scene_case ON regression_scene (hard_case);
+    """,
 )
 """Migration k brings a catalog from schema k to k + 1. Never edit one that was released; append."""
 

@@ -21,6 +21,7 @@ from schemas.episode import Episode
 from schemas.erasure import Erasure
 from schemas.finding import CheckVerdict
 from schemas.hardcase import HardCase
+from schemas.mining import Family, RegressionScene
 from schemas.night import Night
 from schemas.policy import PolicyRecord
 from schemas.release import Release
@@ -149,6 +150,14 @@ class Reader:
     def hard_case(self, id: str) -> HardCase:
         """One hard case."""
         return self._one("hard_case", HardCase, id)
+
+    def families(self, *, run: str | None = None) -> list[Family]:
+        """Failure families that were found, in the order they were added."""
+        return self._matching("failure_family", Family, {}, run)
+
+    def regression_scenes(self, *, run: str | None = None) -> list[RegressionScene]:
+        """Scenes that a release has fixed and that none may lose unsaid, in the order they were added."""
+        return self._matching("regression_scene", RegressionScene, {}, run)
 
     def releases(self, run: str) -> list[Release]:
         """Every movement of a run's champion pointer, oldest first."""

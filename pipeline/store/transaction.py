@@ -18,6 +18,7 @@ from schemas.base import Frozen
 from schemas.dataset import DatasetVersion
 from schemas.episode import Episode
 from schemas.hardcase import HardCase
+from schemas.mining import Family, RegressionScene
 from schemas.night import Night
 from schemas.policy import PolicyRecord
 from schemas.release import Release
@@ -175,6 +176,20 @@ class Transaction:
                 generation=case.generation,
                 corrected=int(case.corrected),
             )
+
+    def add_families(self, families: Iterable[Family]) -> None:
+        """Add failure families that a lap was the first to show; each goes with its medoid, if that is forgotten."""
+        for family in families:
+            self._require("episode", family.medoid, f"medoid of family {family.id}")
+            self._insert("failure_family", family, id=family.id, medoid=family.medoid, generation=family.generation)
+
+    def add_regression_scenes(self, scenes: Iterable[RegressionScene]) -> None:
+        """Add scenes that a release has fixed; nothing but forgetting the attempt itself takes one away again."""
+        for scene in scenes:
+            self._require("hard_case", scene.hard_case, f"regression scene {scene.id}")
+            self._require("policy", scene.fixed_by, f"regression scene {scene.id}")
+            self._insert("regression_scene", scene, id=scene.id, hard_case=scene.hard_case,
+                         generation=scene.generation)
 
     def finish_step(
         self,

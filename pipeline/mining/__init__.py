@@ -1,0 +1,1 @@
+"""What went wrong and what to correct first: failures described, grouped, and put in order of their worth."""
