@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -93,7 +94,7 @@ def run_selection(*, loops: int, seeds: int, recipe: str, json: Path | None, pro
     told: dict[str, Said] = {}
     for way, runs in ways.items():
         against = None if way == "a random half" else _pooled(runs, ways["a random half"])
-        told[way] = {"solved": [r.sum(1).tolist() for r in runs], "against": against and against.__dict__}
+        told[way] = {"solved": [r.sum(1).tolist() for r in runs], "against": asdict(against) if against else None}
         table.add_row(way, f"{np.mean([r.mean() for r in runs]):.3f}", *_by_kind(runs, labels),
                       "" if against is None else _interval(against),
                       "" if against is None or against.p is None else f"{against.p:.2g}")
