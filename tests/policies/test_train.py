@@ -78,8 +78,8 @@ def test_a_policy_that_was_tampered_with_is_refused(tmp_path, reaching, small, h
 
 
 def test_an_unknown_kind_of_policy_is_refused_before_anything_is_written(tmp_path, reaching, small):
-    with pytest.raises(ConfigError, match="use one of: chunked"):
-        train(VERSION, reaching, small.model_copy(update={"policy": "act"}), seed=0, store=tmp_path)
+    with pytest.raises(ConfigError, match="use one of: act, chunked"):
+        train(VERSION, reaching, small.model_copy(update={"policy": "nothing"}), seed=0, store=tmp_path)
     assert not list(tmp_path.iterdir())
 
 
