@@ -1,7 +1,7 @@
 """Early warning: one number out of two signals, the chance that an attempt fails as far as it has gone.
 
-A logistic model on the logarithms of running means. Candidates are not asked: what they add to these two is less
-than the noise between twins (docs/results.md), and the number stays the same whoever rides.
+A logistic model on the logarithms of running means. Candidates are not asked: a trial fit with their spread
+was no better (docs/results.md), and the number stays the same whoever rides.
 """
 
 from collections.abc import Mapping
