@@ -126,3 +126,29 @@ def act(
     from flows.act_study import run_act_study
 
     run_act_study(seeds=seeds, recipe=recipe, json=json, first=first)
+
+
+@measure.command()
+def mining(
+    seeds: Seeds = 8, recipe: RecipeName = "default", json: Json = None,
+    budget: Annotated[list[int] | None, typer.Option(min=1, help="Corrections; may be given again. [default: 2, 4]")]
+    = None,
+) -> None:
+    """A few corrections by expected value against as many at random and in turn: one lap, paired by seed. An hour.
+
+    Example: hardcase measure mining --seeds 8 --budget 2 --budget 4 --json mining.json
+    """
+    from flows.mining_study import run_mining
+
+    run_mining(seeds=seeds, recipe=recipe, budgets=budget or (2, 4), json=json)
+
+
+@measure.command()
+def families(seeds: Seeds = 8, recipe: RecipeName = "default", json: Json = None) -> None:
+    """Whether failure families tell known causes apart: planted ones in simulation, and the twins' own. 2 minutes.
+
+    Example: hardcase measure families --seeds 8 --json families.json
+    """
+    from flows.mining_study import run_families
+
+    run_families(seeds=seeds, recipe=recipe, json=json)

@@ -11,6 +11,7 @@ from flows.cli_datasets import datasets
 from flows.cli_ingest import ingest
 from flows.cli_lineage import forget, why
 from flows.cli_measure import measure
+from flows.cli_mining import commands as mining
 from flows.cli_nights import commands as nightly
 from flows.cli_redaction import redaction
 from flows.cli_selftest import selftest
@@ -23,6 +24,7 @@ commands = typer.Typer()
 commands.add_typer(consent, name="consent")
 commands.add_typer(datasets)
 commands.add_typer(measure, name="measure")
+commands.add_typer(mining)
 commands.add_typer(nightly)
 commands.add_typer(redaction, name="redaction")
 commands.command()(browse)

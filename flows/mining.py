@@ -15,7 +15,8 @@ from stages.mine import Before, Mined, mine, nowhere
 type Attempt = tuple[Episode, Trace]
 
 
-def mined_at(run: ArmRun, generation: int, cases: Sequence[HardCase], attempts: Sequence[Attempt]) -> Mined:
+def mined_at(run: ArmRun, generation: int, cases: Sequence[HardCase], attempts: Sequence[Attempt],
+             knew: Before | None = None) -> Mined:
     """The failures of a lap, by what the laps before it have shown.
 
     Args:
@@ -23,11 +24,12 @@ def mined_at(run: ArmRun, generation: int, cases: Sequence[HardCase], attempts: 
         generation: of the lap.
         cases: its hard cases.
         attempts: at least those that the cases are about, with their recordings.
+        knew: what earlier laps have shown, where it is not what the store says.
     """
     traces = {episode.id: trace for episode, trace in attempts}
     about = {case.episode for case in cases}
     others = [e for e in run.store.episodes(run.material.ids(generation, "deploy")) if e.id not in about]
-    return mine(cases, traces, before(run, generation), solved=_starts(run, run.material.usable(others)),
+    return mine(cases, traces, knew or before(run, generation), solved=_starts(run, run.material.usable(others)),
                 generation=generation, run=run.run)
 
 

@@ -16,6 +16,7 @@ from pipeline.report.data import FilmStrip, ReportData, ShownCase
 from pipeline.simulation.rendering import CLOSE_UP, FilmCamera
 from pipeline.twin.twin import draw_twin, twin_setup
 from schemas.hardcase import HardCase
+from schemas.mining import Family
 from stages.report import report
 
 if TYPE_CHECKING:
@@ -30,7 +31,8 @@ def write_report(steps: "Steps", progress: Progress) -> Path:
     """Write the page of a run, whole, and return its path."""
     page = steps.store.root / "reports" / f"{steps.run}.html"
     cases = steps.store.hard_cases(run=steps.run)
-    strips, notes = _strips(steps, _choose(cases), progress)
+    families = steps.store.families(run=steps.run)
+    strips, notes = film_strips(steps, _choose(cases, families), progress)
     versions = steps.store.versions(run=steps.run)
     counts = {v.id: _by_origin(steps, v.episodes) for v in versions}
     active = running()
@@ -40,7 +42,8 @@ def write_report(steps: "Steps", progress: Progress) -> Path:
         recipe=steps.recipe, command=steps.store.history(steps.run)[-1].command, result=result,
         laps=summary.laps(steps), policies=tuple(steps.store.policies(run=steps.run)),
         verdicts=tuple(steps.store.verdicts(run=steps.run)), versions=tuple(versions),
-        hard_cases=tuple(ShownCase(c, strips.get(c.id)) for c in cases), episodes_by_source=counts,
+        hard_cases=tuple(ShownCase(c, strips.get(c.id)) for c in cases), families=tuple(families),
+        episodes_by_source=counts,
         software={**facts.versions(), "commit": facts.commit()}, store=_counts(steps), notes=notes)
     return report(data, page)
 
@@ -57,13 +60,19 @@ def _counts(steps: "Steps") -> dict[str, int]:
     return {t: int(str(steps.store.query(f"SELECT count(*) FROM {t}")[0][0])) for t in tables}
 
 
-def _choose(cases: list[HardCase]) -> list[HardCase]:
-    families = [[c for c in cases if c.family == f] for f in dict.fromkeys(c.family for c in cases)]
-    turns = (f[k] for k in range(max(map(len, families), default=0)) for f in families if k < len(f))
+def _choose(cases: list[HardCase], families: list[Family]) -> list[HardCase]:
+    """In turn from every family, medoids first."""
+    medoids = {f.medoid for f in families}
+    cases = sorted(cases, key=lambda c: c.episode not in medoids)
+    names = dict.fromkeys(c.found or c.family for c in cases)
+    groups = [[c for c in cases if (c.found or c.family) == name] for name in names]
+    turns = (f[k] for k in range(max(map(len, groups), default=0)) for f in groups if k < len(f))
     return list(turns)[:STRIPS]
 
 
-def _strips(steps: "Steps", cases: list[HardCase], progress: Progress) -> tuple[dict[str, FilmStrip], tuple[str, ...]]:
+def film_strips(steps: "Steps", cases: list[HardCase],
+                progress: Progress) -> tuple[dict[str, FilmStrip], tuple[str, ...]]:
+    """Hard case id -> frames of its attempt, and why there are none where nothing can be rendered."""
     if not cases:
         return {}, ()
     model = twin_setup(draw_twin(steps.twin), steps.recipe.robot, steps.recipe.scene).model

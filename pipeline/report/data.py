@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from schemas.dataset import DatasetVersion
 from schemas.hardcase import HardCase
+from schemas.mining import Family
 from schemas.policy import PolicyRecord
 from schemas.recipe import Recipe
 from schemas.summary import Lap, LoopResult
@@ -55,6 +56,8 @@ class ReportData:
     verdicts: tuple[Verdict, ...] = ()
     versions: tuple[DatasetVersion, ...] = ()
     hard_cases: tuple[ShownCase, ...] = ()
+    families: tuple[Family, ...] = ()
+    """Failure families that were found among them."""
     episodes_by_source: Mapping[str, Mapping[str, int]] = field(default_factory=dict[str, Mapping[str, int]])
     """Dataset version id -> origin -> episodes."""
     software: Mapping[str, str] = field(default_factory=dict[str, str])

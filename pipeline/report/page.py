@@ -2,9 +2,10 @@
 
 import base64
 import hashlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from itertools import groupby
 from pathlib import Path
+from types import MappingProxyType
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
@@ -15,6 +16,8 @@ from pipeline.report.headline import headline
 from pipeline.report.signals import signals
 
 HERE = Path(__file__).parent
+
+NOTHING_FOUND: Mapping[str, str] = MappingProxyType({})
 
 
 def page(data: ReportData) -> str:
@@ -34,14 +37,23 @@ def page(data: ReportData) -> str:
               "base-uri 'none'; form-action 'none'")
     return environment.get_template("template.html.j2").render(
         data=data, result=data.result, head=headline(data), figures=_figures(data),
-        families=families(data.hard_cases), laps={lap.generation: lap for lap in data.laps},
+        families=families(data.hard_cases, {f.id: f.name for f in data.families}),
+        told={f.name: f for f in data.families}, laps={lap.generation: lap for lap in data.laps},
         policy=policy, style=Markup(style), script=Markup(script))
 
 
-def families(cases: Iterable[ShownCase]) -> list[tuple[str, list[ShownCase]]]:
-    """Hard cases by family, the largest family first, each in the order of generation and id."""
-    ranked = sorted(cases, key=lambda shown: (shown.case.family, shown.case.generation, shown.case.id))
-    groups = [(family, list(members)) for family, members in groupby(ranked, key=lambda shown: shown.case.family)]
+def families(cases: Iterable[ShownCase], found: Mapping[str, str] = NOTHING_FOUND) -> list[tuple[str, list[ShownCase]]]:
+    """Hard cases by family, the largest family first, each in the order of generation and id.
+
+    Args:
+        cases: all of them.
+        found: id of a found family -> its name; a case that belongs to none is told by trigger and subtask.
+    """
+    def name(shown: ShownCase) -> str:
+        return found.get(shown.case.found or "", shown.case.family)
+
+    ranked = sorted(cases, key=lambda shown: (name(shown), shown.case.generation, shown.case.id))
+    groups = [(family, list(members)) for family, members in groupby(ranked, key=name)]
     return sorted(groups, key=lambda group: (-len(group[1]), group[0]))
 
 
