@@ -68,7 +68,9 @@ class Judgement(Frozen):
     gain_high: float = Field(ge=-1, le=1)
     estimated: bool = Field(default=False, description="the state was estimated from what the robot sensed")
     replay_error_m: float = Field(
-        default=0.0, ge=0, description="how far the replayed commands miss the recording; 0 where the state is exact")
+        default=0.0, ge=0, description="RMS by which the replayed commands miss the perceived object, the noise of "
+        "perception included; 0 where the state is exact [m]")
+    replay_error_rad: float = Field(default=0.0, ge=0, description="RMS by which they miss the joints [rad]")
 
     @property
     def verdict(self) -> Right:

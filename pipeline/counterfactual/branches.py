@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.counterfactual.ending import Ending
-from pipeline.counterfactual.moment import Lab, Moment
-from pipeline.counterfactual.restore import put_back
+from pipeline.counterfactual.moment import Beginning, Lab
 from pipeline.counterfactual.ride import Restorable
-from pipeline.counterfactual.variation import branch_seed, vary
+from pipeline.counterfactual.variation import branch_seed
 from pipeline.protocols import Array, Ids, Observation
 from pipeline.simulation.rollout import rollout
 from pipeline.triggers import Senses
@@ -31,7 +30,7 @@ class Branches:
     """Failure family of each branch, empty where it succeeded."""
 
 
-def branch(moments: Sequence[Moment], champion: Restorable, candidate: Restorable, lab: Lab, config: JudgeConfig,
+def branch(moments: Sequence[Beginning], champion: Restorable, candidate: Restorable, lab: Lab, config: JudgeConfig,
            triggers: HarvestConfig) -> list[Branches]:
     """Let both policies go on from every moment until the attempt ends as attempts at work end.
 
@@ -52,16 +51,16 @@ def branch(moments: Sequence[Moment], champion: Restorable, candidate: Restorabl
     return found
 
 
-def _played(moments: Sequence[Moment], policies: tuple[Restorable, Restorable], lab: Lab, config: JudgeConfig,
+def _played(moments: Sequence[Beginning], policies: tuple[Restorable, Restorable], lab: Lab, config: JudgeConfig,
             triggers: HarvestConfig) -> list[Branches]:
     """One batch; places are ordered by policy, then moment, then draw."""
     n, draws = len(moments), config.draws
     half = [m for m in moments for _ in range(draws)]
     seeds = [branch_seed(m.episode.scene, m.tick, k, config.seed) for m in moments for k in range(draws)]
     scenes = [m.episode.scene.model_copy(update={"seed": seed}) for m, seed in zip(half, seeds, strict=True)]
-    physics = [vary(m.draws, seed) for m, seed in zip(half, seeds, strict=True)]
-    world = lab.world(scenes * 2, physics * 2)
-    put_back(world, np.arange(world.n), half * 2)
+    starts = [m.start(k % draws, seed) for k, (m, seed) in enumerate(zip(half, seeds, strict=True))] * 2
+    world = lab.world(scenes * 2, [s.draws for s in starts])
+    world.load(np.arange(world.n), np.stack([s.engine for s in starts]), np.stack([s.controller for s in starts]))
     pair = _Pair(policies, len(half))
     pair.restore([np.stack([m.champion for m in half]), np.stack([m.candidate for m in half])])
     ending = Ending(world, triggers)
@@ -102,7 +101,7 @@ class _Pair:
         return np.zeros((len(ids), 0))
 
 
-def _remember(senses: Senses, moments: Sequence[Moment], owner: NDArray[np.intp]) -> None:
+def _remember(senses: Senses, moments: Sequence[Beginning], owner: NDArray[np.intp]) -> None:
     """Let the branches sense what was recorded before their moments."""
     starts = np.array([m.tick for m in moments])
     for tick in range(int(starts.max())):

@@ -16,6 +16,8 @@ from schemas.scene import SceneSpec
 
 TOOL = slice(STATE.index("ee_x"), STATE.index("ee_z") + 1)
 TOOL_YAW, OPENING, ASKED = STATE.index("ee_yaw"), STATE.index("gripper"), STATE.index("cmd_gripper")
+CLOSING_M = 0.04
+"""Opening below which the fingers were asked to close [m]."""
 POSE = slice(STATE.index("cmd_x"), STATE.index("cmd_yaw") + 1)
 
 
@@ -77,16 +79,15 @@ class SensedLog:
         return rows * np.array([*[1.0] * len(JOINTS), 0.5])
 
 
-def perceived_scene(scene: SceneSpec, log: SensedLog, seed: int, setup: str) -> SceneSpec:
+def perceived_scene(scene: SceneSpec, log: SensedLog, seed: int) -> SceneSpec:
     """The start of an attempt as its robot perceived it.
 
     Args:
-        scene: as recorded; only its robot and its task are read.
+        scene: as recorded; only its robot, its surroundings and its task are read.
         log: of the attempt.
         seed: of the noise of whatever is played from it.
-        setup: name of the scene in which it is played.
     """
     x, y, z, yaw, to_x, to_y = (float(v) for v in log.environment[0, :6])
-    return SceneSpec(family="study", seed=seed, robot=scene.robot, scene=setup, task=scene.task,
+    return SceneSpec(family="study", seed=seed, robot=scene.robot, scene=scene.scene, task=scene.task,
                      stratum=stratum_of(log.environment[0]), object_xy_m=(x, y), object_yaw_rad=yaw,
                      object_half_m=load_task(scene.task).nearest_half(z), target_xy_m=(to_x, to_y))

@@ -1,15 +1,15 @@
 """Judging: from a champion's recordings and any candidate to who was right at each lasting disagreement."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.counterfactual.branches import Branches, branch
-from pipeline.counterfactual.moment import Lab, Moment, moment_of
+from pipeline.counterfactual.moment import Beginning, Lab, moment_of
 from pipeline.counterfactual.restore import faults
-from pipeline.counterfactual.ride import Restorable, Ride, ride
+from pipeline.counterfactual.ride import Perceived, Restorable, Ride, ride
 from pipeline.counterfactual.sampling import sample
 from pipeline.counterfactual.windows import Window, first_window
 from pipeline.disagreement import disagreement
@@ -52,6 +52,21 @@ class Judged:
     refusals: tuple[Refusal, ...]
 
 
+@dataclass(frozen=True, slots=True)
+class Case[L: Perceived]:
+    """A disagreement that is to be judged."""
+
+    episode: Episode
+    log: L
+    window: Window
+    champion: Ride
+    candidate: Ride
+
+
+type Restore[L: Perceived] = Callable[[Sequence[Case[L]]], Sequence[Beginning | str]]
+"""Cases -> for each the moment from which both go on, or why there is none."""
+
+
 def judge(attempts: Sequence[Attempt], champion: Named, candidate: Named, draws: Sequence[Draw], lab: Lab,
           config: JudgeConfig, triggers: HarvestConfig) -> Judged:
     """Judge the first lasting disagreement of every attempt, or of a sample of those that have one.
@@ -64,25 +79,35 @@ def judge(attempts: Sequence[Attempt], champion: Named, candidate: Named, draws:
         config: what counts as a disagreement, how many draws.
         triggers: thresholds that were in force at work.
     """
-    traces = [t for _, t in attempts]
-    acted, would = ride(champion.policy, traces), ride(candidate.policy, traces)
+    def restore(cases: Sequence[Case[Trace]]) -> Sequence[Beginning | str]:
+        moments = [moment_of(c.episode, c.log, c.window, tuple(draws), c.champion, c.candidate) for c in cases]
+        return [m if wrong is None else wrong for m, wrong in zip(moments, faults(moments, lab), strict=True)]
+
+    return judge_by(restore, attempts, champion, candidate, lab, config, triggers)
+
+
+def judge_by[L: Perceived](restore: Restore[L], attempts: Sequence[tuple[Episode, L]], champion: Named,
+                           candidate: Named, lab: Lab, config: JudgeConfig, triggers: HarvestConfig) -> Judged:
+    """Judge from whatever moments `restore` gives; see judge."""
+    logs = [log for _, log in attempts]
+    acted, would = ride(champion.policy, logs), ride(candidate.policy, logs)
     apart = tuple(disagreement(b.action, a.action) for a, b in zip(acted, would, strict=True))
     windows = tuple(first_window(d, config) for d in apart)
-    moments: list[Moment] = []
+    cases: list[Case[L]] = []
     refused: list[Refusal] = []
     stands_for = sample(windows, config)
     for i in stands_for:
-        (episode, trace), window = attempts[i], windows[i]
+        (episode, log), window = attempts[i], windows[i]
         assert window is not None
-        wrong = _another_policy(trace, acted[i], champion.id)
+        wrong = _another_policy(log, acted[i], champion.id)
         if wrong:
             refused.append(Refusal(episode=episode.id, tick=window.start, reason=wrong))
         else:
-            moments.append(moment_of(episode, trace, window, tuple(draws), acted[i], would[i]))
-    wrongs = faults(moments, lab)
-    refused += [Refusal(episode=m.episode.id, tick=m.tick, reason=wrong)
-                for m, wrong in zip(moments, wrongs, strict=True) if wrong is not None]
-    sound = [m for m, wrong in zip(moments, wrongs, strict=True) if wrong is None]
+            cases.append(Case(episode, log, window, acted[i], would[i]))
+    found = restore(cases)
+    refused += [Refusal(episode=c.episode.id, tick=c.window.start, reason=wrong)
+                for c, wrong in zip(cases, found, strict=True) if isinstance(wrong, str)]
+    sound = [m for m in found if not isinstance(m, str)]
     played = branch(sound, champion.policy, candidate.policy, lab, config, triggers)
     made = [judgement(m, b, champion.id, candidate.id, config) for m, b in zip(sound, played, strict=True)]
     weights = {attempts[i][0].id: weight for i, weight in stands_for.items()}
@@ -108,13 +133,13 @@ def gains_from_start(attempts: Sequence[Attempt], champion: Named, candidate: Na
     return np.array([b.success[1].mean() - b.success[0].mean() for b in played])
 
 
-def _another_policy(trace: Trace, acted: Ride, champion: str) -> str | None:
+def _another_policy(trace: Perceived, acted: Ride, champion: str) -> str | None:
     """Whether the champion, seeing what was recorded, does not do what was recorded."""
     differs = np.flatnonzero((trace.action != acted.action).any(axis=1))
     return f"policy {champion} does not give the recorded action of tick {differs[0]}" if differs.size else None
 
 
-def judgement(moment: Moment, branches: Branches, champion: str, candidate: str, config: JudgeConfig) -> Judgement:
+def judgement(moment: Beginning, branches: Branches, champion: str, candidate: str, config: JudgeConfig) -> Judgement:
     """Count the branches of one moment."""
     pairs, n = compare(branches.success[1], branches.success[0]), config.draws
     low, high = -tango_upper(pairs.fixed, pairs.broken, n, ERROR), tango_upper(pairs.broken, pairs.fixed, n, ERROR)

@@ -2,8 +2,10 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
-from pipeline.counterfactual.ride import Ride
+from pipeline.counterfactual.ride import Perceived, Ride
+from pipeline.counterfactual.variation import vary
 from pipeline.counterfactual.windows import Window
 from pipeline.protocols import Array
 from pipeline.simulation.model import Setup
@@ -15,8 +17,58 @@ from schemas.scene import Draw, SceneSpec
 
 
 @dataclass(frozen=True, slots=True)
+class Start:
+    """Where one branch of a moment begins."""
+
+    draws: tuple[Draw, ...]
+    """Its physics."""
+    engine: Array
+    """State of the engine (mjSTATE_INTEGRATION), shape (nstate,)."""
+    controller: Array
+    """State of the controller, shape (CONTROLLER_WIDTH,)."""
+
+
+class Beginning(Protocol):
+    """A moment from which both policies can go on, restored or estimated."""
+
+    @property
+    def episode(self) -> Episode:
+        """Its attempt."""
+        ...
+
+    @property
+    def trace(self) -> Perceived:
+        """What was perceived in it."""
+        ...
+
+    @property
+    def window(self) -> Window:
+        """Where the policies are apart."""
+        ...
+
+    @property
+    def tick(self) -> int:
+        """Where both policies go on."""
+        ...
+
+    @property
+    def champion(self) -> Array:
+        """Memory of the champion before it acts at the tick, shape (w,)."""
+        ...
+
+    @property
+    def candidate(self) -> Array:
+        """Memory of the candidate, had it ridden along."""
+        ...
+
+    def start(self, branch: int, seed: int) -> Start:
+        """Where a branch begins: its number, and the seed of its draws."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
 class Moment:
-    """One tick of one recorded attempt."""
+    """One tick of one recorded attempt; a Beginning."""
 
     episode: Episode
     trace: Trace
@@ -36,6 +88,11 @@ class Moment:
     def tick(self) -> int:
         """Where both policies go on."""
         return self.window.start
+
+    def start(self, branch: int, seed: int) -> Start:
+        """The recorded state, under physics drawn closely around the recorded robot's."""
+        del branch
+        return Start(vary(self.draws, seed), self.engine, self.controller)
 
 
 def moment_of(episode: Episode, trace: Trace, window: Window, draws: tuple[Draw, ...], champion: Ride,

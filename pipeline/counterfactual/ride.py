@@ -7,7 +7,6 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from pipeline.protocols import Array, Ids, Observation, Policy
-from pipeline.trace import Trace
 
 
 @runtime_checkable
@@ -16,6 +15,34 @@ class Restorable(Policy, Protocol):
 
     def restore(self, ids: Ids, rows: Array) -> None:
         """Set the memory of attempts to rows that memory() gave."""
+        ...
+
+
+class Perceived(Protocol):
+    """What a policy is shown along a recording, and what was done: of a Trace, or of less than that."""
+
+    @property
+    def state(self) -> Array:
+        """See pipeline.frames.STATE, shape (m, 16)."""
+        ...
+
+    @property
+    def environment(self) -> Array:
+        """See pipeline.frames.ENVIRONMENT, shape (m, 7)."""
+        ...
+
+    @property
+    def action(self) -> Array:
+        """See pipeline.frames.ACTION, shape (m, 5)."""
+        ...
+
+    @property
+    def phase(self) -> tuple[str, ...]:
+        """Subtask at each tick."""
+        ...
+
+    def __len__(self) -> int:
+        """How many ticks."""
         ...
 
 
@@ -29,7 +56,7 @@ class Ride:
     """What it remembers before it acts at each tick, shape (m, w)."""
 
 
-def ride(policy: Restorable, traces: Sequence[Trace], *, ticks: int | None = None) -> list[Ride]:
+def ride(policy: Restorable, traces: Sequence[Perceived], *, ticks: int | None = None) -> list[Ride]:
     """Let a policy see what was recorded, from the first tick on, all attempts side by side.
 
     A policy is a function of what it has seen so far, so its memory at any tick is what it would be had it ridden

@@ -246,23 +246,38 @@ class World:
 
     # -- restoring --------------------------------------------------------------------------------------------------
 
-    def place(self, ids: Ids, joints: Array, speeds: Array, cube: Array, cube_speed: Array) -> None:
-        """Put robots and cubes where somebody believes them to be; what the controller remembers stays.
+    def place_arm(self, ids: Ids, joints: Array, speeds: Array) -> None:
+        """Put arms where somebody believes them to be; what the controller remembers stays.
 
         Args:
             ids: places, k of them.
             joints: joints [rad] and opening [m], shape (k, 7).
             speeds: of the same [rad/s, m/s], shape (k, 7).
-            cube: centre x, y, z [m] and yaw [rad] of an upright cube, shape (k, 4).
-            cube_speed: along x, y, z [m/s], shape (k, 3).
         """
-        row, at, dof = ids[:, None], self._object, self._object_dof
+        row = ids[:, None]
         self._qpos[row, self._arm], self._qvel[row, self._dof] = joints[:, :6], speeds[:, :6]
         self._qpos[row, self._finger], self._qvel[row, self._finger_dof] = joints[:, 6:] / 2, speeds[:, 6:] / 2
-        self._qpos[ids, at:at + 3], self._qvel[ids, dof:dof + 3] = cube[:, :3], cube_speed
-        half, none = cube[:, 3] / 2, np.zeros(len(ids))
+
+    def place_cube(self, ids: Ids, cube: Array, speed: Array) -> None:
+        """Put cubes upright where somebody believes them to be.
+
+        Args:
+            ids: places, k of them.
+            cube: centre x, y, z [m] and yaw [rad], shape (k, 4).
+            speed: along x, y, z [m/s], shape (k, 3).
+        """
+        at, dof, half, none = self._object, self._object_dof, cube[:, 3] / 2, np.zeros(len(ids))
+        self._qpos[ids, at:at + 3], self._qvel[ids, dof:dof + 3] = cube[:, :3], speed
         self._qpos[ids, at + 3:at + 7] = np.column_stack([np.cos(half), none, none, np.sin(half)])
         self._qvel[ids, dof + 3:dof + 6] = 0.0
+
+    def half(self, ids: Ids) -> Array:
+        """Half edges of the cubes [m], shape (len(ids),)."""
+        return self._half[ids]
+
+    def shift_cube(self, ids: Ids, by: Array) -> None:
+        """Move cubes by x, y, z [m], shape (k, 3), as they are turned and however fast they are."""
+        self._qpos[ids, self._object:self._object + 3] += by
 
     def save(self, ids: Ids) -> tuple[Array, Array]:
         """State rows: the engine's (mjSTATE_INTEGRATION) and the controller's, CONTROLLER_WIDTH wide."""
