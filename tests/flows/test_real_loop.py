@@ -35,7 +35,7 @@ def store(turned) -> Iterator[Store]:
 
 def test_the_json_has_the_promised_shape(turned):
     told = json.loads((turned.folder / "result.json").read_text())
-    assert set(told) == {"generations", "control", "paired", "wall_s", "peak_pss_mb", "seed", "twin"}
+    assert set(told) == {"generations", "control", "paired", "wall_s", "peak_pss_mb", "seed", "twin", "shadow", "worth"}
     assert set(told["paired"]) == {"fixed", "broken", "p"}
     for lap in (*told["generations"], *told["control"]):
         assert set(lap) == {"generation", "dataset_version", "policy", "success", "gate", "robot_s", "corrections",
@@ -47,6 +47,19 @@ def test_the_json_has_the_promised_shape(turned):
     assert set(told["generations"][0]["wall_s"]) == {"collect", *LAP}
     assert (told["seed"], told["twin"]) == (0, 100)
     assert told["wall_s"] > 1 and 100 < told["peak_pss_mb"] < 1500
+
+
+def test_the_last_lap_is_appraised(turned):
+    """Who was right in the shadow, and what the last batch was worth: on the screen, and as numbers."""
+    told = json.loads((turned.folder / "result.json").read_text())
+    shadow, worth = told["shadow"], told["worth"]
+    assert 0 < sum(shadow["right"].values()) == shadow["judged"] <= shadow["apart"] <= shadow["attempts"]
+    low, high = shadow["change"][1:]
+    assert low <= shadow["change"][0] <= high
+    assert f"Shadow: candidate and champion apart in {shadow['apart']} of {shadow['attempts']}" in turned.done.stdout
+    assert worth["generation"] == 1 and worth["seeds"] == 1 and -100 <= worth["points"] <= 100
+    assert f"Worth of the last batch: {worth['points']:+.1f} points" in turned.done.stdout
+    assert "1 seed, indicative" in turned.done.stdout
 
 
 def test_nothing_but_one_line_a_stage_reaches_stderr(turned):
