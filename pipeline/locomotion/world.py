@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pipeline.errors import SimulationError
 from pipeline.locomotion.body import SENSED_BY_FEET, LeggedBody
 from pipeline.locomotion.rewards import REWARDS, Motion
+from pipeline.locomotion.spaces import SENSED_MOST
 from pipeline.locomotion.starts import Start
 from pipeline.locomotion.tasks import LeggedTask
 from pipeline.protocols import Array, Ids
@@ -70,6 +71,11 @@ class LeggedWorld:
         """How many joints are commanded."""
         return len(self.body.joints)
 
+    @property
+    def width(self) -> int:
+        """How many values an observation has."""
+        return 9 + 3 * len(self.body.joints) + 2 * bool(self.task.stride_s)
+
     def restart(self, ids: Ids, starts: Sequence[Start]) -> None:
         """Begin other attempts in the places `ids`; the others go on undisturbed."""
         home = self._home
@@ -93,7 +99,17 @@ class LeggedWorld:
         self._next_blow[ids] = 0
 
     def act(self, action: Array) -> None:
-        """Send every robot its action, shares in [-1, 1] of shape (n, joints), and let one control period pass."""
+        """Send every robot its action, shares in [-1, 1] of shape (n, joints), and let one control period pass.
+
+        Raises:
+            SimulationError: another shape, or a value that is not finite.
+        """
+        if action.shape != self.action.shape:
+            raise SimulationError(f"action of shape {action.shape}, the robots take {self.action.shape}", where="step",
+                                  mend=f"send one share in [-1, 1] for each of {', '.join(self.body.joints)}")
+        if not np.isfinite(action).all():
+            raise SimulationError("action holds a value that is not finite", where="step",
+                                  mend="look at the policy: its weights or its input hold NaN or infinity")
         self.previous, self.action = self.action, np.clip(action, -1.0, 1.0)
         self._push()
         if self.body.control == "position":
@@ -122,7 +138,8 @@ class LeggedWorld:
         if self.task.stride_s:
             angle = 2 * np.pi * self.phase()[:, None]
             parts += [np.sin(angle), np.cos(angle)]
-        return np.concatenate(parts, axis=1, dtype=np.float32, casting="same_kind")
+        sensed = np.concatenate(parts, axis=1, dtype=np.float32, casting="same_kind")
+        return np.clip(sensed, -SENSED_MOST, SENSED_MOST, out=sensed)
 
     def _joints(self) -> tuple[Array, Array]:
         if self._in_order:
@@ -156,7 +173,8 @@ class LeggedWorld:
 
     def fallen(self, now: Motion) -> NDArray[np.bool_]:
         """Which robots have fallen, shape (n,): they lean too far, or their base is too low."""
-        return (now.up[:, 2] < np.cos(self.task.fallen_rad)) | (now.height < self.task.fallen_height)
+        stands = (now.up[:, 2] >= np.cos(self.task.fallen_rad)) & (now.height >= self.task.fallen_height)
+        return ~stands  # so that a robot whose physics diverged has fallen, too
 
     def save(self) -> Mapping[str, NDArray[np.float64]]:
         """All that a restart from this very moment needs."""

@@ -1,0 +1,71 @@
+"""Evaluation: attempts of seeds of their own, each played once to its end, and the baselines that belong beside it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.locomotion.body import LeggedBody
+from pipeline.locomotion.starts import draw_start
+from pipeline.locomotion.tasks import LeggedTask
+from pipeline.locomotion.world import LeggedWorld
+from pipeline.protocols import Array
+
+type Act = Callable[[NDArray[np.float32]], Array]
+"""What is sensed, shape (n, w) -> actions, shape (n, j)."""
+
+EVALUATION = 0x6576616C
+"""Word that keeps the seeds of these starts apart from those of training."""
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluated:
+    """n attempts, each until it fell or its time was up."""
+
+    full: NDArray[np.bool_]
+    """Which reached their end, shape (n,)."""
+    length: NDArray[np.int64]
+    """Ticks until the fall, or all, shape (n,)."""
+    terms: dict[str, float]
+    """Reward term -> its weighted mean a tick, over ticks before a fall."""
+    error: float
+    """Mean distance between the asked and the true speed over ground, over ticks before a fall [m/s]."""
+
+
+def evaluation_seed(seed: int, k: int) -> int:
+    """Seed of the k-th start; no training meets it."""
+    return int(np.random.SeedSequence([seed, k, EVALUATION]).generate_state(1, np.uint64)[0] >> 1)
+
+
+def evaluate(act: Act, body: LeggedBody, task: LeggedTask, *, n: int = 200, seed: int = 0, stratum: str | None = None,
+             threads: int = 1) -> Evaluated:
+    """Play n attempts to their ends; ConfigError for a kind of start that the task does not have."""
+    kind = stratum or next(iter(task.starts))
+    world = LeggedWorld(body, task, n, threads=threads)
+    world.restart(np.arange(n), [draw_start(task, body, kind, evaluation_seed(seed, k)) for k in range(n)])
+    alive, length = np.ones(n, bool), np.zeros(n, np.int64)
+    sums, error = dict.fromkeys(task.weights, 0.0), 0.0
+    for _ in range(task.ticks):
+        world.act(act(world.observe()))
+        now = world.motion()
+        alive &= ~world.fallen(now)
+        length += alive
+        for name, values in world.rewards(now).items():
+            sums[name] += float(values[alive].sum())
+        error += float(np.linalg.norm(now.velocity[:, :2] - now.command[:, :2], axis=1)[alive].sum())
+        if not alive.any():
+            break
+    ticks = max(1, int(length.sum()))
+    return Evaluated(alive, length, {name: total / ticks for name, total in sums.items()}, error / ticks)
+
+
+def zero_action(joints: int) -> Act:
+    """Asks nothing of any joint: servos hold home, motors are slack."""
+    return lambda sensed: np.zeros((len(sensed), joints))
+
+
+def random_action(joints: int, seed: int) -> Act:
+    """Draws every action evenly from [-1, 1]."""
+    rng = np.random.default_rng([seed, EVALUATION])
+    return lambda sensed: rng.uniform(-1, 1, (len(sensed), joints))
