@@ -30,6 +30,12 @@ def test_what_the_last_lap_added_is_judged_its_recordings_by_themselves_and_the_
     assert code == 0 and "INCONCLUSIVE" in told and version.id in told
     code, told, _ = hardcase("why", version.id)
     assert f"{whole.id} INCONCLUSIVE" in told
+    done = {f: f.stat().st_mtime_ns for f in (root / "worth").iterdir()}
+    lost, *kept = done
+    lost.unlink()  # as if it had been cut off in the last training
+    assert hardcase("worth", *SMALL)[1] == out
+    assert {f for f in (root / "worth").iterdir()} == set(done)
+    assert all(f.stat().st_mtime_ns == done[f] for f in kept), "finished trainings are not done again"
 
 
 def test_a_query_and_named_episodes_choose_a_batch_and_json_holds_the_whole_verdict(root, version, hardcase):
@@ -43,17 +49,6 @@ def test_a_query_and_named_episodes_choose_a_batch_and_json_holds_the_whole_verd
     assert code == 0, err
     (named,) = json.loads(out)
     assert named["batch"] == asked.batch and named["parts"][0]["without"] == list(asked.parts[0].without[:1])
-
-
-def test_what_was_cut_off_goes_on_where_it_was(root, hardcase):
-    first = hardcase("worth", *SMALL)[1]
-    assert first.startswith("INCONCLUSIVE")
-    done = {f: f.stat().st_mtime_ns for f in (root / "worth").iterdir()}
-    lost, kept, _ = done
-    lost.unlink()
-    assert hardcase("worth", *SMALL)[1] == first
-    assert {f for f in (root / "worth").iterdir()} == set(done)
-    assert kept.stat().st_mtime_ns == done[kept] and lost.stat().st_mtime_ns != done[lost]
 
 
 @pytest.mark.parametrize(("words", "told"), [

@@ -74,7 +74,7 @@ def test_failures_are_counted_by_family_and_a_rarer_family_is_shown():
 def test_equal_batches_are_rarely_judged_at_all():
     """Several kinds of start are asked about at once: Holm keeps the whole verdict at 5 in 100."""
     decided = 0
-    for k in range(100):
+    for k in range(60):
         parts, overall = kinds(SCENES, (runs(3 * k, 0.9, 0.5), runs(3 * k + 1, 0.9, 0.5)))
         decided += ruled(parts, overall, 8)[0] != "INCONCLUSIVE"
-    assert decided <= 11
+    assert decided <= 7
