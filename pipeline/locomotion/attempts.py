@@ -97,4 +97,3 @@ class Attempts:
 def start_seed(seed: int, place: int, k: int) -> int:
     """Seed of the k-th start in a place: no two of one run share it."""
     return int(np.random.SeedSequence([seed, place, k, 67]).generate_state(1, np.uint64)[0] >> 1)
-

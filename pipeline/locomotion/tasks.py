@@ -83,4 +83,3 @@ def load_legged_task(name: str) -> LeggedTask:
     if name not in LEGGED_TASKS:
         raise unknown("task", name, LEGGED_TASKS)
     return LEGGED_TASKS[name]
-

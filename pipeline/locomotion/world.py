@@ -150,6 +150,10 @@ class LeggedWorld:
         force = self._force[:, 6:] if self._in_order else self._force[:, self._v]
         return force / self._limit
 
+    def position(self) -> Array:
+        """Where the bases are, true [m], shape (n, 3)."""
+        return self._qpos[:, :3].copy()
+
     def phase(self) -> Array:
         """The gait's clock, in [0, 1), shape (n,)."""
         period = self.task.stride_s * self.task.control_hz

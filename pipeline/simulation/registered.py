@@ -1,4 +1,4 @@
-"""Registers our environment as it is imported, which Gymnasium asks of the module before an id's colon:
+"""Registers our environments as it is imported, which Gymnasium asks of the module before an id's colon:
 
     gymnasium.make("pipeline.simulation.registered:hardcase/PickPlace-v0")
 """
