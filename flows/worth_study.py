@@ -130,8 +130,9 @@ def _fixed(verdict: BatchWorth) -> str:
 def _sides(parts: Sequence[WorthPart]) -> tuple[float, float]:
     """Difference on common starts, and on all others together."""
     rare = [p for p in parts if p.name not in (ALL, "common")]
-    common = next(p.difference for p in parts if p.name in ("common", ALL))
-    return common, sum(p.difference * p.scenes for p in rare) / max(sum(p.scenes for p in rare), 1)
+    by_name = {p.name: p.difference for p in parts}
+    scenes = max(sum(p.scenes for p in rare), 1)
+    return by_name.get("common", by_name[ALL]), sum(p.difference * p.scenes for p in rare) / scenes
 
 
 def _exam(steps: Steps) -> tuple[float, float]:
