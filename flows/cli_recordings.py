@@ -14,6 +14,7 @@ from flows.cli_measure import measure
 from flows.cli_mining import commands as mining
 from flows.cli_nights import commands as nightly
 from flows.cli_redaction import redaction
+from flows.cli_rl import rl
 from flows.cli_selftest import selftest
 from flows.cli_shadow import judge
 from flows.cli_teleop import teleop
@@ -27,6 +28,7 @@ commands.add_typer(measure, name="measure")
 commands.add_typer(mining)
 commands.add_typer(nightly)
 commands.add_typer(redaction, name="redaction")
+commands.add_typer(rl, name="rl")
 commands.command()(browse)
 commands.command()(teleop)
 commands.command()(ingest)

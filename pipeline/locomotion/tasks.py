@@ -1,10 +1,12 @@
 """Tasks of legged robots: how attempts start, what pushes them, when they have fallen, and what is rewarded."""
 
+from pathlib import Path
 from types import MappingProxyType
 from typing import Self
 
 from pydantic import Field, model_validator
 
+from pipeline.documents import load_document
 from pipeline.errors import unknown
 from pipeline.locomotion.rewards import REWARDS
 from schemas.base import Frozen
@@ -65,7 +67,7 @@ class LeggedTask(Frozen):
 STAND = LeggedTask(
     instruction="Stand, whatever pushes you.",
     starts={"leaning": Starts(tilt_rad=0.25, crouch=(0.0, 0.6), joint_rad=0.15, speed_m_s=0.5, turn_rad_s=0.7)},
-    pushes=Pushes(speed_m_s=0.8),
+    pushes=Pushes(speed_m_s=0.5),
     weights={"upright": 1.0, "height": 0.5, "still": 0.5, "posture": 0.3, "effort": -0.3})
 
 WALK = LeggedTask(
@@ -79,7 +81,9 @@ LEGGED_TASKS: MappingProxyType[str, LeggedTask] = MappingProxyType({"stand": STA
 
 
 def load_legged_task(name: str) -> LeggedTask:
-    """The task of that name; ConfigError lists the valid ones."""
-    if name not in LEGGED_TASKS:
-        raise unknown("task", name, LEGGED_TASKS)
-    return LEGGED_TASKS[name]
+    """The task of that name, or the one in that YAML file; ConfigError lists the names, or the field that is wrong."""
+    if name in LEGGED_TASKS:
+        return LEGGED_TASKS[name]
+    if name.endswith((".yaml", ".yml")):
+        return load_document(Path(name), LeggedTask, kind="a task", example="fields: pipeline/locomotion/tasks.py")
+    raise unknown("task", name, [*LEGGED_TASKS, "PATH.yaml"])

@@ -16,8 +16,9 @@ from onnx import numpy_helper, shape_inference
 from pipeline.errors import PolicyError
 from pipeline.frames import ACTION, ENVIRONMENT, STATE
 
-OPERATORS = frozenset({"Add", "Concat", "Conv", "Cos", "Div", "Gelu", "Gemm", "LayerNormalization", "MatMul", "MaxPool",
-                       "Mul", "Relu", "Reshape", "Sin", "Slice", "Softmax", "Split", "Sub", "Tanh", "Transpose"})
+OPERATORS = frozenset({"Add", "Concat", "Conv", "Cos", "Div", "Elu", "Gelu", "Gemm", "LayerNormalization", "MatMul",
+                       "MaxPool", "Mul", "Relu", "Reshape", "Sin", "Slice", "Softmax", "Split", "Sub", "Tanh",
+                       "Transpose"})
 """All of them arithmetic on tensors: none reads files, loops, branches or holds a graph of its own."""
 
 MAX_BYTES, MAX_NODES, MAX_VALUES = 64 << 20, 1000, 1 << 20
@@ -69,6 +70,26 @@ def checked_seeing_model(path: Path) -> tuple[bytes, int, dict[str, str], tuple[
                           mend=f"train on pictures of one camera, at most {MAX_EDGE}x{MAX_EDGE}")
     _check_inputs(model, {"state": (0, len(STATE)), "pictures": (0, 3, height, width)}, path)
     return data, _check_shapes(model, path), _told(model), (height, width)
+
+
+def checked_plain_model(path: Path) -> tuple[bytes, int, int, dict[str, str]]:
+    """The same for a policy without memory: `observation` (n, w) to `action` (n, j).
+
+    Returns:
+        The bytes to load, w, j, and its metadata.
+
+    Raises:
+        PolicyError: what is wrong with the file, and the mend.
+    """
+    data, model = _checked(path)
+    found = [{value.name: _sizes(value) for value in values} for values in (model.graph.input, model.graph.output)]
+    sizes = [kinds.get(name) for kinds, name in zip(found, ("observation", "action"), strict=True)]
+    (w, j) = (s[1] if s is not None and len(s) == 2 and s[0] == 0 else 0 for s in sizes)
+    if [len(kinds) for kinds in found] != [1, 1] or not w or not j:
+        raise PolicyError(f"inputs and outputs {found}, expected are 'observation' (0, w) and 'action' (0, j)",
+                          where=path, mend="use a policy.onnx that hardcase rl train has left")
+    _check_results(model, path)
+    return data, w, j, _told(model)
 
 
 def _checked(path: Path) -> tuple[bytes, onnx.ModelProto]:

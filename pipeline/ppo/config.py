@@ -38,7 +38,8 @@ class PpoConfig(Frozen):
         return self.attempts * self.ticks
 
 
-PPO_CONFIGS: MappingProxyType[str, PpoConfig] = MappingProxyType({"stand": PpoConfig(), "walk": PpoConfig()})
+PPO_CONFIGS: MappingProxyType[str, PpoConfig] = MappingProxyType(
+    {"stand": PpoConfig(steps=2_000_000), "walk": PpoConfig()})
 """Task -> its tuned numbers; other tasks begin with those of a plain PpoConfig()."""
 
 

@@ -23,6 +23,7 @@ from pipeline.ppo import checkpoint
 from pipeline.ppo.checkpoint import Saved
 from pipeline.ppo.config import Order, PpoConfig
 from pipeline.ppo.curves import Point
+from pipeline.ppo.export import build, write_policy
 from pipeline.ppo.vec_env import AttemptsVecEnv
 
 type Progress = Callable[[Point, int], None]
@@ -30,7 +31,7 @@ type Progress = Callable[[Point, int], None]
 
 SAVE_EVERY = 25
 """Iterations between checkpoints."""
-SAVED_AFTER = "before collection"
+PARITY_ROWS = 512
 
 
 class Training:
@@ -74,13 +75,44 @@ class Training:
         Args:
             progress: called after each iteration.
             save_every: iterations between checkpoints; the last one is always saved.
+
+        Raises:
+            PolicyError: the weights are not finite any more; the last checkpoint is older than that.
         """
-        if not self.over:
-            began = self.steps == 0
-            left = self.order.ppo.steps - self.steps
-            self.model.learn(left, _Watch(self, progress, save_every), log_interval=10**9, reset_num_timesteps=began)
-            self.save()
+        if self.over:
+            return self
+        left, begins = self.order.ppo.steps - self.steps, self.steps == 0
+        try:
+            self.model.learn(left, _Watch(self, progress, save_every), log_interval=10**9, reset_num_timesteps=begins)
+        except ValueError as error:  # torch refuses to draw from a distribution of NaN
+            if self.finite:
+                raise
+            raise PolicyError("training diverged", where=f"{self.steps} steps",
+                              mend="train with a lower learning rate: --learning-rate 3e-4") from error
+        self.save()
         return self
+
+    @property
+    def finite(self) -> bool:
+        """Whether every weight is a number."""
+        return all(bool(torch.isfinite(p).all()) for p in self.model.policy.parameters())
+
+    def export(self, path: Path) -> float:
+        """Write the policy as ONNX; returns the largest difference to PyTorch on observations like those met.
+
+        Raises:
+            PolicyError: the difference is above 1e-5.
+        """
+        order, normaliser = self.order, self.env.normaliser
+        weights = {k: v.detach().numpy() for k, v in self.model.policy.state_dict().items()}
+        model = build(weights, normaliser, {
+            "body": order.body, "task": order.task.model_dump_json(), "name": order.name, "training": order.id,
+            "stratum": order.stratum or ""})
+        rng = np.random.default_rng(0)
+        rows = rng.normal(normaliser.mean, normaliser.std, (PARITY_ROWS, len(normaliser.mean))).astype(np.float32)
+        with torch.no_grad():
+            mean = self.model.policy.get_distribution(torch.from_numpy(normaliser(rows))).mode()
+        return write_policy(path, model, rows, mean.numpy())
 
     def point(self) -> Point:
         """Close an iteration's point of the curves."""
@@ -92,7 +124,7 @@ class Training:
         """Leave a checkpoint of this moment, which must lie between an update and the next collection."""
         model = self.model
         optimiser: dict[str, Any] = model.policy.optimizer.state_dict()
-        name, keys, position, has_gauss, gauss = np.random.get_state(legacy=True)  # noqa: NPY002 SB3 draws from it
+        name, keys, position, has_gauss, gauss = np.random.get_state(legacy=True)  # noqa: NPY002
         facts = {"steps": model.num_timesteps, "updates": model._n_updates, "episodes": model._episode_num,
                  "progress_left": model._current_progress_remaining, "curve": self.curve,
                  "optimiser_groups": optimiser["param_groups"],

@@ -4,7 +4,7 @@
 # pyright: reportUnknownMemberType=false, reportUnknownParameterType=false, reportMissingParameterType=false
 # pyright: reportUnknownArgumentType=false, reportMissingTypeArgument=false, reportUnknownVariableType=false
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, override
 
 import numpy as np
@@ -15,8 +15,9 @@ from pipeline.locomotion.attempts import Attempts
 from pipeline.locomotion.spaces import action_space, observation_space
 from pipeline.ppo.curves import Tally
 from pipeline.ppo.normaliser import Normaliser
+from pipeline.protocols import Array
 
-type Indices = int | Sequence[int] | None
+type Indices = int | Iterable[int] | None
 
 
 class AttemptsVecEnv(VecEnv):
@@ -30,7 +31,7 @@ class AttemptsVecEnv(VecEnv):
     def __init__(self, attempts: Attempts, reward_scale: float) -> None:
         self.attempts, self._scale = attempts, reward_scale
         self.normaliser, self.tally = Normaliser(attempts.world.width), Tally()
-        self._action = np.zeros((attempts.world.n, attempts.world.action_size))
+        self._action: Array = np.zeros((attempts.world.n, attempts.world.action_size))
         super().__init__(attempts.world.n, observation_space(attempts.world), action_space(attempts.world))
 
     @override
@@ -39,7 +40,7 @@ class AttemptsVecEnv(VecEnv):
 
     @override
     def step_async(self, actions: NDArray[np.float32]) -> None:
-        self._action = actions
+        self._action = actions.astype(np.float64)
 
     @override
     def step_wait(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
