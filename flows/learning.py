@@ -8,6 +8,7 @@ from flows.footage import filming, shown
 from flows.steps_api import Progress
 from flows.worth_door import held_back, spared
 from pipeline.errors import GateError
+from pipeline.mining.happened import MARKED
 from pipeline.policies.table import policy_kind
 from pipeline.shards import write_shard
 from pipeline.simulation.evaluation import evaluate, gate_scenes
@@ -46,6 +47,7 @@ def augmented(run: ArmRun, generation: int, progress: Progress) -> Made:
     made = augment([(e, run.material.frames(e)) for e in parents], config, replays=replays, retargets=retargets,
                    seed=run.seed, generation=generation, threads=run.recipe.threads,
                    strata=() if generation else _aims(run), near=[(e, run.material.frames(e)) for e in near],
+                   same_mark=_on_the_way(run),
                    arm=run.name, progress=progress)
     kept = {e.id: made.frames[e.id] for e in made.episodes if config.keep_rejected or e.outcome.label == "success"}
     blob = None
@@ -59,6 +61,13 @@ def augmented(run: ArmRun, generation: int, progress: Progress) -> Made:
     says = f"{len(kept)} of {len(episodes)} variants kept"
     return Made(tuple(kept), says, {"report": made.report.model_dump(mode="json")},
                 lambda tx: tx.add_episodes(episodes))
+
+
+def _on_the_way(run: ArmRun) -> set[str]:
+    """Corrections of what went wrong on the way to the mark, where the recipe aims at the subtask."""
+    if run.recipe.harvest.aim != "subtask":
+        return set()
+    return {str(c.correction) for c in run.store.hard_cases(run=run.run) if c.subtask in MARKED and c.correction}
 
 
 def _consent(variant: Episode, consent: Mapping[str, str]) -> str:

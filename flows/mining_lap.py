@@ -13,6 +13,7 @@ from flows.mining import Attempt, mined_at
 from flows.steps import Steps
 from pipeline.files import atomic
 from pipeline.frames import Frames
+from pipeline.mining.happened import MARKED
 from pipeline.policies.table import policy_kind
 from pipeline.recording import read_frames
 from pipeline.simulation.tasks import load_task
@@ -63,7 +64,8 @@ def _learnt(steps: Steps, recipe: Recipe, attempts: Sequence[Attempt], mined: Mi
     done = harvest(attempts, recipe, twin=steps.twin, generation=0, folder=work, software=facts.software("harvest"),
                    arm=STUDY, judged=mined.cases, ranked=[place.case for place in mined.queue])
     new = [(r.episode, read_frames(r.path)[1]) for r in done.recorded]
-    policy, variants = _trained(steps, recipe, new, [e for e, _ in attempts], work)
+    marked = {c.correction for c in done.cases if c.subtask in MARKED} if recipe.harvest.aim == "subtask" else set()
+    policy, variants = _trained(steps, recipe, new, {str(id) for id in marked}, [e for e, _ in attempts], work)
     found = exam(policy_kind(recipe.train.policy).open(policy), recipe, seed=steps.seed, twin=steps.twin)
     names = {f.id: f.name for f in mined.new}
     return {"bits": "".join("01"[int(s)] for s in found.success), "strata": list(found.strata), "variants": variants,
@@ -74,15 +76,15 @@ def _chosen(case: HardCase, names: dict[str, str]) -> Said:
     return {"case": case.id, "family": names.get(case.found or ""), "stratum": case.stratum, "subtask": case.subtask}
 
 
-def _trained(steps: Steps, recipe: Recipe, new: Sequence[tuple[Episode, Frames]], parents: Sequence[Episode],
-             work: Path) -> tuple[Path, int]:
+def _trained(steps: Steps, recipe: Recipe, new: Sequence[tuple[Episode, Frames]], marked: set[str],
+             parents: Sequence[Episode], work: Path) -> tuple[Path, int]:
     """The candidate as the loop would train it: variants near what is new, all data so far, the lap's seed."""
     base = steps.store.episodes(steps.material.version(0).episodes)
     frames = {e.id: steps.material.frames(e) for e in base}
     near = [(e, f) for e, f in new if e.outcome.label == "success"]
     made = augment([(e, frames[e.id]) for e in base if e.origin == "scripted"], recipe.augment, replays=0,
                    retargets=recipe.augment.per_correction * len(near), seed=steps.seed, generation=1,
-                   threads=recipe.threads, near=near, arm=STUDY) if near else None
+                   threads=recipe.threads, near=near, same_mark=marked, arm=STUDY) if near else None
     kept = [e for e in made.episodes if e.outcome.label == "success"] if made else []
     shard = [e.model_copy(update={"blob": "0" * 64}) for e in kept]  # their frames are at hand: no shard is written
     known = frames | {e.id: f for e, f in new} | {e.id: made.frames[e.id] for e in kept if made}

@@ -62,14 +62,15 @@ def mine_run(root: Path, run: str | None, generation: int | None, *, film: bool)
         families: list[Family] = []
         mined = Mined((), (), ())
         for g in range(lap + 1):
-            mined = _mined(steps, g, families)
+            mined = mined_lap(steps, g, families)
             families += mined.new
         strips, notes = _filmed(steps, families, lap) if film else ({}, ())
     return Told(steps.run, lap, tuple(families), frozenset(f.id for f in mined.new), mined.cases, mined.queue, strips,
                 notes)
 
 
-def _mined(steps: Steps, lap: int, families: Sequence[Family]) -> Mined:
+def mined_lap(steps: Steps, lap: int, families: Sequence[Family]) -> Mined:
+    """The failures of one lap; `families` are those of the laps before it."""
     config = steps.recipe.harvest.judge
     attempts = steps.material.failed_attempts(lap) if config is None else steps.material.deployed_attempts(lap)
     known = steps.store.hard_cases(run=steps.run, generation=lap)

@@ -203,7 +203,8 @@ class HarvestConfig(Frozen):
         "start, by expected value (docs/mining.md), or any: the control")
     aim: Literal["trigger", "subtask"] = Field(
         default="trigger", exclude_if=_as_ever, description="where a correction begins: where the attempt was stopped, "
-        "or where the subtask began in which it went wrong")
+        "or where the subtask began in which it went wrong; what went wrong on the way to the mark is then multiplied "
+        "near that mark, too")
     judge: JudgeConfig | None = Field(
         default=None, exclude_if=_none_given, description="correct where the policy in the champion's shadow or the "
         "champion was judged wrong, and nowhere else; where a trigger fired if not given")

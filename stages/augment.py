@@ -1,6 +1,6 @@
 """Augment: attempts that worked are played again under other physics and carried over to other starts."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,7 +48,8 @@ class Augmented:
 
 
 def augment(parents: Sequence[Parent], config: AugmentConfig, *, replays: int, retargets: int, seed: int,
-            generation: int, threads: int, strata: Sequence[str] = (), near: Sequence[Parent] = (), arm: str = "",
+            generation: int, threads: int, strata: Sequence[str] = (), near: Sequence[Parent] = (),
+            same_mark: Collection[str] = (), arm: str = "",
             progress: Callable[[int, int], None] | None = None) -> Augmented:
     """Make variants; the simulator and the success predicate judge each.
 
@@ -63,6 +64,7 @@ def augment(parents: Sequence[Parent], config: AugmentConfig, *, replays: int, r
         strata: kinds of start that demonstrations are carried over to, with the object that they held.
         near: attempts in whose neighbourhood they are carried over instead: each in turn, start and size of the
             object as its robot perceived them.
+        same_mark: ids of those among them whose mark, too, is kept near: they went wrong on the way to it.
         arm: name of a study's arm: what it makes is its own, also where another arm made the same.
         progress: called as (variants done, variants in all).
     """
@@ -70,7 +72,7 @@ def augment(parents: Sequence[Parent], config: AugmentConfig, *, replays: int, r
     if not parents:
         raise SimulationError("no attempt that succeeded to make variants of", where=f"generation {generation}",
                               mend="collect more demonstrations: hardcase collect")
-    plan = _Plan(config, seed, generation, tuple(strata), tuple(near), arm)
+    plan = _Plan(config, seed, generation, tuple(strata), tuple(near), frozenset(same_mark), arm)
     episodes: list[Episode] = []
     frames: dict[str, Frames] = {}
     for transform, count in (("replay", replays), ("retarget", retargets)):
@@ -113,6 +115,7 @@ class _Plan:
     generation: int
     strata: tuple[str, ...]
     near: tuple[Parent, ...]
+    same_mark: frozenset[str]
     arm: str
 
     def variant(self, parents: Sequence[Parent], transform: str, i: int) -> _Variant:
@@ -128,7 +131,8 @@ class _Plan:
         made_by = transform
         if transform == "retarget" and self.near:
             place = self.near[i % len(self.near)]
-            scene, made_by = _close_to(place, scene, rng), f"retarget near {place[0].id}"
+            scene = _close_to(place, scene, rng, same_mark=place[0].id in self.same_mark)
+            made_by = f"retarget near {place[0].id}"
         elif transform == "retarget" and self.strata:
             scene = _within(self.strata, scene, rng)
         origin = "replayed" if transform == "replay" else "retargeted"
@@ -152,14 +156,22 @@ def _within(strata: Sequence[str], scene: SceneSpec, rng: np.random.Generator) -
     return fresh.model_copy(update={"draws": scene.draws, "object_half_m": scene.object_half_m})
 
 
-def _close_to(place: Parent, scene: SceneSpec, rng: np.random.Generator) -> SceneSpec:
-    """A start in the neighbourhood of another attempt's, with an object of the size perceived there, to any mark."""
+def _close_to(place: Parent, scene: SceneSpec, rng: np.random.Generator, *, same_mark: bool) -> SceneSpec:
+    """A start in the neighbourhood of another attempt's, with an object of the size perceived there.
+
+    To any mark; or to one in the neighbourhood of the mark there, as far as a task allows it.
+    """
     there = as_perceived(place[0].scene, place[1].environment[0])
     x, y = (a + rng.uniform(-NEARBY_M, NEARBY_M) for a in there.object_xy_m)
+    task, yaw = load_task(scene.task), float(rng.uniform(-np.pi / 4, np.pi / 4))
+    mark = task.sample_target(rng, x, y)
+    if same_mark:
+        close = there.target_xy_m[0] + rng.uniform(-NEARBY_M, NEARBY_M), there.target_xy_m[1] + rng.uniform(
+            -NEARBY_M, NEARBY_M)
+        mark = close if np.hypot(close[0] - x, close[1] - y) >= task.target_away_m else mark
     return scene.model_copy(update={
-        "object_xy_m": (float(x), float(y)), "object_yaw_rad": float(rng.uniform(-np.pi / 4, np.pi / 4)),
-        "target_xy_m": load_task(scene.task).sample_target(rng, x, y), "object_half_m": there.object_half_m,
-        "stratum": there.stratum})
+        "object_xy_m": (float(x), float(y)), "object_yaw_rad": yaw, "target_xy_m": (float(mark[0]), float(mark[1])),
+        "object_half_m": there.object_half_m, "stratum": there.stratum})
 
 
 def _play(variants: Sequence[_Variant], threads: int) -> list[tuple[Episode, Frames]]:

@@ -28,6 +28,9 @@ UNTOUCHED_TICKS = 5
 SUBTASKS = ("reach", "grasp", "lift", "carry", "place")
 """In the order in which they are done; an attempt fails in the first one that it does not finish."""
 
+MARKED = ("carry", "place")
+"""Those of them whose success is told by where the mark is."""
+
 type Starts = Array
 """Perceived starts: x, y, z of the object at rest [m], shape (n, 3)."""
 
