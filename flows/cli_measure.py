@@ -48,6 +48,20 @@ def counterfactual(
 
 
 @measure.command()
+def estimated(
+    seeds: Seeds = 8, recipe: RecipeName = "default", json: Json = None,
+    most: Annotated[int, typer.Option(min=1, help="Disagreements judged of each of two pairs of policies.")] = 20,
+) -> None:
+    """Who was right, told from a robot's sensors alone, against the verdict from the twin's own state.
+
+    Example: hardcase measure estimated --seeds 8 --json estimated.json
+    """
+    from flows.estimated_study import run_estimated_study
+
+    run_estimated_study(seeds=seeds, recipe=recipe, most=most, json=json)
+
+
+@measure.command()
 def nights(
     years: Annotated[int, typer.Option(min=1, help="Simulated years of each world.")] = 10_000,
     tries: Annotated[int, typer.Option(min=1, help="Played nights of each true gain.")] = 10_000,
@@ -152,3 +166,18 @@ def families(seeds: Seeds = 8, recipe: RecipeName = "default", json: Json = None
     from flows.mining_study import run_families
 
     run_families(seeds=seeds, recipe=recipe, json=json)
+
+
+@measure.command()
+def stand(
+    seeds: Annotated[int, typer.Option(min=1, help="Trainings, each of a seed of its own.")] = 3,
+    body: Annotated[str, typer.Option(help="biped, unitree_h1, unitree_g1, or a path.")] = "biped",
+    json: Json = None,
+) -> None:
+    """How often a trained robot stands through bad starts and pushes, beside zero and random actions. 4 minutes a seed.
+
+    Example: hardcase measure stand --seeds 3 --json stand.json
+    """
+    from flows.stand_study import run_stand_study
+
+    run_stand_study(seeds=seeds, body=body, json=json)

@@ -17,6 +17,8 @@ def judge(
     checked: Annotated[int | None, typer.Option(help="Attempts also played from the start. [default: 50]")] = None,
     seed: Annotated[int | None, typer.Option(help="Of the draws. [default: 0]")] = None,
     keep: Annotated[bool, typer.Option("--keep", help="Put the hard cases into the store.")] = False,
+    estimated: Annotated[bool, typer.Option("--estimated", help="Restore nothing: estimate the state from what the "
+                                            "robot sensed, as for a real robot.")] = False,
     json: Annotated[Path | None, typer.Option(help="Write the whole report to this file as JSON.")] = None,
 ) -> None:
     """Judge a candidate by what the champion met at work: who was right where they disagreed, and what if promoted.
@@ -24,6 +26,7 @@ def judge(
     The candidate need not have ridden along. The recorded state is restored, and both go on from it.
 
     Example: hardcase judge 3f9a1c2b --generation 1 --keep
+    Example: hardcase judge 3f9a1c2b --estimated
     """
     from flows.shadow_report import judge_candidate, show
     from pipeline.documents import from_values
@@ -34,7 +37,8 @@ def judge(
     asked = {"threshold": threshold, "lasting": lasting, "draws": draws, "most": most, "checked": checked, "seed": seed}
     config = from_values({name: value for name, value in asked.items() if value is not None}, JudgeConfig,
                          where="hardcase judge", example="see: hardcase judge --help")
-    written = judge_candidate(store_root(), candidate, run=run, generation=generation, config=config, keep=keep)
+    written = judge_candidate(store_root(), candidate, run=run, generation=generation, config=config, keep=keep,
+                              estimated=estimated)
     show(written, kept=keep)
     if json is not None:
         with atomic(json) as stream:

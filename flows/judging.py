@@ -3,11 +3,13 @@
 from collections.abc import Sequence
 
 from flows.arm_run import ArmRun
+from pipeline.counterfactual.estimate_log import SensedLog
 from pipeline.counterfactual.judging import Attempt
 from pipeline.counterfactual.ride import Restorable
 from pipeline.counterfactual.summary import Subject
 from pipeline.errors import PolicyError
 from schemas.counterfactual import JudgeConfig, ShadowReport
+from stages.estimate import estimate
 from stages.judge import judge
 
 
@@ -22,6 +24,18 @@ def judged_at(run: ArmRun, generation: int, champion: str, candidate: str,
     attempts = run.material.deployed_attempts(generation)
     return attempts, judge(attempts, restorable(run, champion), restorable(run, candidate), run.recipe,
                            subject=subject_of(run, generation, champion, candidate), config=config)
+
+
+def sensed_at(run: ArmRun, generation: int, champion: str, candidate: str, config: JudgeConfig) -> ShadowReport:
+    """As judged_at, from what the robot sensed alone; the report says that it is estimated.
+
+    Raises:
+        StoreError, ConsentError: as judged_at.
+        RecordingError: the robot does not sense what is needed.
+    """
+    attempts = [(e, SensedLog.of(trace, f"episode {e.id}")) for e, trace in run.material.deployed_attempts(generation)]
+    return estimate(attempts, restorable(run, champion), restorable(run, candidate), run.recipe,
+                    subject=subject_of(run, generation, champion, candidate), config=config)
 
 
 def restorable(run: ArmRun, id: str) -> Restorable:

@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console, Group
 from rich.table import Table
 
-from flows.judging import judged_at
+from flows.judging import judged_at, sensed_at
 from flows.opening import open_order, recall
 from flows.steps import Steps
 from pipeline.counterfactual.cases import cases_of
@@ -27,7 +28,7 @@ class Written:
 
 
 def judge_candidate(root: Path, candidate: str, *, run: str | None, generation: int | None, config: JudgeConfig,
-                    keep: bool) -> Written:
+                    keep: bool, estimated: bool = False) -> Written:
     """Judge a candidate by the deployments of a run's champion, and write the page beside the loop's own report.
 
     Args:
@@ -36,6 +37,7 @@ def judge_candidate(root: Path, candidate: str, *, run: str | None, generation: 
         run: the newest loop where None.
         generation: lap whose deployment is judged; the last that was deployed where None.
         config: what counts as a lasting disagreement, and the number of draws.
+        estimated: read nothing of the recordings but what the robot sensed, and play in the simulation of training.
         keep: put the hard cases into the store; those that are there stay as they are.
 
     Raises:
@@ -49,12 +51,14 @@ def judge_candidate(root: Path, candidate: str, *, run: str | None, generation: 
         if id == champion:
             raise PolicyError(f"policy {id} was the champion itself in generation {lap}", where=f"run {steps.run}",
                               mend=f"name another: {_others(steps, champion)}")
-        report = judged_at(steps, lap, champion, id, config)[1]
+        report = (sensed_at(steps, lap, champion, id, config) if estimated
+                  else judged_at(steps, lap, champion, id, config)[1])
         cases = cases_of(report.judgements, lap, steps.name)
         if keep:
             with steps.store.commit(steps.lease, steps.run) as tx:
                 tx.add_hard_cases(_new(steps, cases))
-        page = steps.store.root / "reports" / f"shadow-{steps.run}-{lap}-{id}.html"
+        name = f"shadow-{steps.run}-{lap}-{id}" + "-estimated" * estimated
+        page = steps.store.root / "reports" / f"{name}.html"
         with atomic(page) as stream:
             stream.write(shadow_page(report).encode())
     return Written(report, page, tuple(cases))
@@ -92,6 +96,16 @@ def _new(steps: Steps, cases: list[HardCase]) -> list[HardCase]:
     return [c for c in cases if c.id not in known]
 
 
+def replayed(report: ShadowReport) -> str:
+    """How well the stand-in reproduced what was sensed, in the median judgement."""
+    if not report.judgements:
+        return "estimated from sensors alone; nothing could be judged"
+    joints, cube = (float(np.median([getattr(j, name) for j in report.judgements]))
+                    for name in ("replay_error_rad", "replay_error_m"))
+    return (f"estimated from sensors alone; replay error, median: joints {joints:.4f} rad, "
+            f"object {1000 * cube:.1f} mm (RMS, noise of perception included)")
+
+
 def show(written: Written, *, kept: bool) -> None:
     """Print the report in short."""
     report, console = written.report, Console()
@@ -103,6 +117,8 @@ def show(written: Written, *, kept: bool) -> None:
         rows.add_row(r.stratum, str(r.attempts), str(r.apart), str(r.judged), right + doubt, change(r.change))
     check = f"from the start, {report.checked} attempts: {change(report.from_start)}; missed {change(report.missed)}"
     stored = "in the store" if kept else "not kept: add --keep"
+    if report.estimated:
+        check += "\n" + replayed(report)
     console.print(Group(rows, check, f"{len(report.refusals)} refused, {len(written.cases)} hard cases ({stored})",
                         f"{report.verdict}: {report.reason}", str(written.page)), soft_wrap=True)
     for refusal in report.refusals[:5]:

@@ -146,6 +146,7 @@ class ShadowReport(Frozen):
     verdict: Literal["promote", "hold", "roll back"]
     reason: str
     config: JudgeConfig
+    estimated: bool = Field(default=False, description="states were estimated from what the robot sensed")
     judgements: tuple[Judgement, ...]
     refusals: tuple[Refusal, ...]
 

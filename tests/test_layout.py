@@ -18,7 +18,8 @@ OWNERS = {
     "rich": ("flows/",),
     "mujoco": ("pipeline/simulation/", "pipeline/locomotion/", "pipeline/twin/"),
     "mujoco_menagerie": ("pipeline/locomotion/menagerie.py",),
-    "torch": ("pipeline/policies/",),
+    "torch": ("pipeline/policies/", "pipeline/ppo/"),
+    "stable_baselines3": ("pipeline/ppo/",),
     "lerobot": ("pipeline/lerobot_view/", "pipeline/policies/", "pipeline/robots/",
                 "pipeline/selftest/with_lerobot.py"),
     "draccus": ("pipeline/robots/plugins.py",),
@@ -37,7 +38,8 @@ LIGHT = ("schemas/", "pipeline/store/", "pipeline/recording/", "flows/cli.py")
 TWIN_USERS = ("pipeline/twin/", "stages/deploy.py", "stages/harvest.py", "stages/exam.py", "stages/judge.py",
               "flows/reporting.py", "flows/seeing.py", "flows/teleop_devices.py")
 TRAINING_SIDE = (
-    *(f"stages/{stage}.py" for stage in ("collect", "augment", "build", "train", "gate", "nightly", "release")),
+    *(f"stages/{stage}.py" for stage in ("collect", "augment", "build", "train", "gate", "nightly", "release",
+                                  "estimate")),
     "flows/learning.py", "flows/nights.py",
 )
 PICKLES = {"pickle", "cPickle", "cloudpickle", "dill", "joblib", "shelve", "marshal"}

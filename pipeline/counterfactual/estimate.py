@@ -27,6 +27,8 @@ type Sensed = tuple[Episode, SensedLog]
 JOINTS_RAD, OBJECT_M = 0.05, 0.015
 """Replay errors above which a moment is refused: RMS of the joints [rad], and of the perceived object [m]."""
 
+TOO_LATE = "it lies beyond the time that the task allows"
+
 
 @dataclass(frozen=True, slots=True)
 class Estimated:
@@ -111,8 +113,8 @@ def estimated(cases: Sequence[Case[SensedLog]], robot: Robot, lab: Lab, config: 
     sought = [Sought(e.scene, c.log, c.window.start) for c, e, ok in zip(cases, episodes, within, strict=True) if ok]
     guesses = iter(guess(sought, robot, lab))
     return [_checked(Estimated(e, c.log, c.window, c.champion.memory[c.window.start],
-                               c.candidate.memory[c.window.start], next(guesses))) if ok
-            else "it lies beyond the time that the task allows" for c, e, ok in zip(cases, episodes, within, strict=True)]
+                               c.candidate.memory[c.window.start], next(guesses))) if ok else TOO_LATE
+            for c, e, ok in zip(cases, episodes, within, strict=True)]
 
 
 def _as_perceived(case: Case[SensedLog], config: JudgeConfig) -> Episode:

@@ -10,12 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.counterfactual.estimate_log import ASKED, CLOSING_M, SensedLog
 from pipeline.counterfactual.estimate_memory import memory, played
 from pipeline.counterfactual.moment import Lab
-from pipeline.protocols import Array, Ids
+from pipeline.protocols import Array
 from pipeline.simulation.physics import MAX_DELAY, RANDOMIZATIONS, Physics, from_draws
 from pipeline.simulation.world import World
 from schemas.scene import SceneSpec
@@ -80,7 +79,7 @@ def identify_arm(logs: Sequence[SensedLog], scene: SceneSpec, lab: Lab, seed: in
     misses = _misses(ticks, _physics(tried, delays), world)
     best = int(_likelihood(misses).argmax())
     delay, centre, spread = float(delays[best]), tried[best], SPREAD
-    late, rest = np.zeros(len(ticks), bool), misses[:, best].min(axis=1)
+    late, rest, sd = np.zeros(len(ticks), bool), misses[:, best, 0], SPREAD
     for _ in range(ROUNDS):
         members = np.maximum(centre + spread * rng.standard_normal((NEXT, len(ARM))), LOWEST)
         misses = _misses(ticks, _physics(members, np.full(NEXT, delay)), world)
@@ -92,7 +91,7 @@ def identify_arm(logs: Sequence[SensedLog], scene: SceneSpec, lab: Lab, seed: in
         if late.mean() > 0.5 and delay < MAX_DELAY:
             delay, late = delay + 1, ~late  # what mostly comes late by one has a longer delay
     return ArmBelief(delay, float((late.sum() + 1) / (len(late) + 2)), centre, sd,
-                     float(np.median(np.sqrt((rest[:, :6] ** 2).mean(axis=1)))))
+                     float(np.median(np.sqrt((rest[:, :6] ** 2).mean(axis=1)), axis=None)))
 
 
 def _plane(offsets: Array, misses: Array) -> tuple[Array, Array, Array]:
@@ -104,17 +103,19 @@ def _plane(offsets: Array, misses: Array) -> tuple[Array, Array, Array]:
     m, d = offsets.shape
     design = np.column_stack([np.ones(m), offsets])
     fit = np.linalg.lstsq(design, misses.transpose(1, 0, 2).reshape(m, -1), rcond=None)[0]
-    level, slope = fit[0], fit[1:].T
-    step, weight = np.zeros(d), np.ones(len(misses))
+    level, slope = np.asarray(fit[0], np.float64), np.asarray(fit[1:].T, np.float64)
+    step, square, left = np.zeros(d), np.eye(d), level.reshape(-1, 12)
+    size, weight = np.ones(len(misses)), np.ones(len(misses))
     for _ in range(5):
         w = np.repeat(weight, 12)[:, None]
         square = (slope * w).T @ slope
-        step = np.linalg.solve(square + 1e-3 * np.trace(square) / d * np.eye(d), -(slope * w).T @ level)
+        flat = square + 1e-3 * float(np.trace(square)) / d * np.eye(d)
+        step = np.asarray(np.linalg.solve(flat, -(slope * w).T @ level), np.float64)
         left = (level + slope @ step).reshape(-1, 12)
         size = (left ** 2).sum(axis=1)
-        weight = 1 / (1 + size / (np.median(size) + 1e-12))
-    error = np.sqrt(np.diag(np.linalg.inv(square + 1e-12 * np.eye(d))) * (weight * size).sum() / (12 * weight.sum()))
-    return step, error, left
+        weight = 1 / (1 + size / (float(np.median(size)) + 1e-12))
+    variance = float((weight * size).sum() / (12 * weight.sum()))
+    return step, np.sqrt(np.diag(np.linalg.inv(square + 1e-12 * np.eye(d))) * variance), left
 
 
 def _ticks(logs: Sequence[SensedLog], rng: np.random.Generator) -> list[_Tick]:
@@ -128,7 +129,8 @@ def _ticks(logs: Sequence[SensedLog], rng: np.random.Generator) -> list[_Tick]:
 def _first(rng: np.random.Generator) -> tuple[Array, Array]:
     """The first hypotheses: values of ARM, shape (FIRST, 5), and delays [ticks], every one as often."""
     drawn = [[RANDOMIZATIONS[name](rng, WIDEN) for name in ARM[:-1]] for _ in range(FIRST)]
-    return np.column_stack([drawn, rng.uniform(0, STICTION, FIRST)]), np.arange(FIRST) % MAX_DELAY * 1.0
+    values: Array = np.column_stack([drawn, rng.uniform(0, STICTION, FIRST)])
+    return values, (np.arange(FIRST) % MAX_DELAY).astype(np.float64)
 
 
 def _physics(values: Array, delays: Array) -> Physics:
@@ -140,9 +142,9 @@ def _physics(values: Array, delays: Array) -> Physics:
 
 def _likelihood(misses: Array) -> Array:
     """Log-likelihood of each hypothesis, scaled by what even the best cannot explain."""
-    errors = (misses ** 2).sum(axis=3)
-    least = errors.min(axis=2)
-    scale = np.median(least[:, np.median(least, axis=0).argmin()]) / 6 + 1e-12
+    errors = np.asarray((misses ** 2).sum(axis=3), np.float64)
+    least = np.asarray(errors.min(axis=2), np.float64)
+    scale = float(np.median(least[:, np.median(least, axis=0).argmin()])) / 6 + 1e-12
     mixed = (1 - LATE) * np.exp(-errors[..., 0] / scale) + LATE * np.exp(-errors[..., 1] / scale)
     return np.log(mixed + 1e-12).sum(axis=0)
 

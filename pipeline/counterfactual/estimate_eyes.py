@@ -90,11 +90,11 @@ def identify_eyes(logs: Sequence[SensedLog], halves: Sequence[float], middle_m: 
     if not gaps:
         return Eyes(np.zeros(2), PRIOR_SD_M ** 2 * np.eye(2), noise, 0)
     rows, gap, weight = np.stack(normals), np.array(gaps), 1 / np.array(errors)
-    bias, cov = np.zeros(2), np.eye(2)
+    bias, cov = np.zeros(2), PRIOR_SD_M ** 2 * np.eye(2)
     trust = np.ones(len(gap))
     for _ in range(10):
         precision = (rows * (weight * trust)[:, None]).T @ rows + np.eye(2) / PRIOR_SD_M ** 2
-        cov = np.linalg.inv(precision)
+        cov: Array = np.linalg.inv(precision).astype(np.float64)
         bias = cov @ (rows * (weight * trust)[:, None]).T @ gap
         trust = 1 / (1 + (gap - rows @ bias) ** 2 * weight / 4)
     return Eyes(bias, cov, noise, len(gap))

@@ -123,7 +123,8 @@ class _Replay:
             ids = ids[self._tick[ids] < self._stop[ids]]
 
     def _rows(self, name: str, ids: Ids) -> Array:
-        return np.stack([getattr(self._sought[i // self._each].log, name)[self._tick[i]] for i in ids.tolist()])
+        rows: list[int] = ids.tolist()
+        return np.stack([getattr(self._sought[i // self._each].log, name)[self._tick[i]] for i in rows])
 
     def _compare(self, ids: Ids) -> None:
         seen, state, there = self._world.observe(ids), self._rows("state", ids), self._rows("environment", ids)

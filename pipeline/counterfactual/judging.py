@@ -25,6 +25,8 @@ from schemas.recipe import HarvestConfig
 from schemas.scene import Draw
 
 type Attempt = tuple[Episode, Trace]
+type Seen = tuple[Episode, Perceived]
+"""An attempt, as much of it as a policy is shown."""
 
 ERROR = 0.025
 """Error of each limit of the interval of a gain."""

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from pipeline.counterfactual.change import Sampled, expected_change, mean_difference
-from pipeline.counterfactual.judging import Attempt, Judged
+from pipeline.counterfactual.judging import Judged, Seen
 from pipeline.protocols import Array
 from pipeline.statistics import Interval
 from pipeline.triggers import stratum_of
@@ -39,7 +39,7 @@ class FromStart:
     gains: Array
 
 
-def summarize(subject: Subject, attempts: Sequence[Attempt], judged: Judged, start: FromStart | None,
+def summarize(subject: Subject, attempts: Sequence[Seen], judged: Judged, start: FromStart | None,
               config: JudgeConfig) -> ShadowReport:
     """Put everything together; the same judgements give the same report.
 
@@ -67,7 +67,7 @@ def summarize(subject: Subject, attempts: Sequence[Attempt], judged: Judged, sta
         reason=reason, config=config, judgements=judged.judgements, refusals=judged.refusals)
 
 
-def _row(name: str, rows: Sequence[int], attempts: Sequence[Attempt], judged: Judged,
+def _row(name: str, rows: Sequence[int], attempts: Sequence[Seen], judged: Judged,
          gains: dict[str, Judgement], weights: dict[str, float], rng: np.random.Generator) -> ShadowRow:
     found = [gains[attempts[i][0].id] for i in rows if attempts[i][0].id in gains]
     apart = sum(judged.windows[i] is not None for i in rows)
@@ -79,7 +79,7 @@ def _row(name: str, rows: Sequence[int], attempts: Sequence[Attempt], judged: Ju
                      undecided=sum(not j.decided for j in found), change=_change(change) if change else None)
 
 
-def _checked(start: FromStart | None, attempts: Sequence[Attempt], judged: Judged, gains: dict[str, Judgement],
+def _checked(start: FromStart | None, attempts: Sequence[Seen], judged: Judged, gains: dict[str, Judgement],
              rng: np.random.Generator) -> tuple[Change | None, Change | None]:
     """The change from the start, and by how much the disagreements miss it in the same attempts."""
     if start is None or not len(start.attempts):

@@ -88,6 +88,18 @@ def test_the_command_prints_the_verdict_writes_its_files_and_keeps_the_cases_onc
     assert json.loads(out.read_text())["verdict"] == report.verdict
 
 
+def test_the_command_judges_from_sensors_alone_and_says_how_well_the_replay_fits(turned, judge, tmp_path):
+    _, other = champion_and_other(turned)
+    out = tmp_path / "estimated.json"
+    code, said, _ = judge(other[:8], "--estimated", "--draws", "4", "--checked", "1", "--threshold", "0.001",
+                          "--lasting", "1", "--json", out)
+    report = ShadowReport.model_validate_json(out.read_text())
+    assert code == 0 and report.estimated and report.judgements and all(j.estimated for j in report.judgements)
+    assert re.search(r"estimated from sensors alone; replay error, median: joints [\d.]+ rad, object [\d.]+ mm", said)
+    page = turned[0] / "reports" / f"shadow-{turned[1]}-1-{other}-estimated.html"
+    assert "estimated shadow report" in page.read_text() and "estimated from what the robot sensed" in page.read_text()
+
+
 @pytest.mark.parametrize(("words", "what", "mend"), [
     (("0123456789abcdef",), "0123456789abcdef", "mend: "),
     (("CHAMPION",), "was the champion itself in generation 1", "mend: name another: "),
