@@ -210,7 +210,8 @@ def _end(line: Line, x: Axis, y: Axis) -> Markup:
     if not points:
         return Markup("")
     (a, b), below = points[-1], line.dashed
-    return _text(min(a + 16, WIDTH), max(b + (19 if below else -9), 10), line.end, "end", "tick" if below else "strong")
+    under = below or b - 9 < 10  # at the upper edge there is no room above the mark
+    return _text(min(a + 16, WIDTH), b + (19 if under else -9), line.end, "end", "tick" if below else "strong")
 
 
 def _key(name: str, colour: int, dashed: bool = False, strength: float = 1.0, *, block: bool = False) -> Markup:

@@ -12,7 +12,17 @@ from schemas.dataset import DatasetVersion
 from schemas.hardcase import HardCase
 from schemas.policy import PolicyRecord
 from schemas.recipe import Recipe
-from schemas.summary import AugmentReport, GateLine, Generation, Lap, LoopResult, Paired, TriggerReport
+from schemas.summary import (
+    AugmentReport,
+    GateLine,
+    Generation,
+    Lap,
+    LoopResult,
+    Paired,
+    ShadowLine,
+    TriggerReport,
+    WorthLine,
+)
 from schemas.verdict import Look, Proportion, StratumResult, Verdict
 
 COMMON, RARE = (281, 288, 292, 294), (2, 46, 66, 74)
@@ -123,13 +133,20 @@ def case(k: int) -> ShownCase:
                      strip(k) if k < 16 else None)
 
 
+SHADOW = ShadowLine(champion=short_id("policy", 2), candidate=short_id("policy", 3), agreement=0.97, attempts=150,
+                    apart=24, judged=16, right={"candidate": 5, "champion": 2, "both": 9, "neither": 0}, undecided=3,
+                    change=(0.021, -0.004, 0.046), verdict="hold")
+WORTH = WorthLine(generation=3, batch="lap 3", episodes=42, points=2.5, seeds=1, scenes=200,
+                  kinds={"common": -0.5, "side": 5.5})
+
+
 @pytest.fixture
 def loop() -> ReportData:
     laps = range(4)
     result = LoopResult(generations=tuple(generation(g, COMMON[g], RARE[g], "loop") for g in laps),
                         control=tuple(generation(g, *CONTROL[g], "control") for g in laps),
                         paired=Paired(fixed=91, broken=6, p=3.2e-21), wall_s=151.4, peak_pss_mb=1312.0, seed=7,
-                        twin=103)
+                        twin=103, shadow=SHADOW, worth=WORTH)
     sources = {"scripted": 46, "replayed": 122, "retargeted": 212}
     return ReportData(
         recipe=Recipe(name="reference"), result=result, laps=tuple(lap(g) for g in laps),

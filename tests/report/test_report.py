@@ -112,6 +112,13 @@ def test_every_number_of_the_gate_stands_in_its_tables(loop, tmp_path):
     assert "400 more scenes" in page.text
 
 
+def test_shadow_and_worth_of_the_last_lap_stand_under_the_gate(loop, tmp_path):
+    page = read(loop, tmp_path)[0]
+    assert ("candidate and champion apart in 24 of 150 attempts; right: candidate 5, champion 2, both 9; "
+            "promotion +2.1 points [-0.4 +4.6], hold") in page
+    assert "+2.5 points by the 42 episodes of lap 3 on 200 scenes (common -0.5, side +5.5); 1 seed, indicative" in page
+
+
 def test_data_training_triggers_and_cost_stand_in_tables(loop, tmp_path):
     page = read(loop, tmp_path)[1]
     augmentation = cells(page, "Augmentation")[1:]
