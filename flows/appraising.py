@@ -3,7 +3,7 @@
 from flows.arm_run import ArmRun, Made, no_rows
 from flows.judging import judged_at
 from flows.steps_api import Progress
-from flows.worth import indicated
+from flows.worth import indicated, judged_batch
 from pipeline.errors import ConfigError, PolicyError
 from schemas.counterfactual import JudgeConfig, ShadowReport
 from schemas.summary import ShadowLine, WorthLine
@@ -14,12 +14,13 @@ QUICK = JudgeConfig(most=16, checked=0)
 
 
 def judged(run: ArmRun, generation: int) -> Made:
-    """The newest candidate against the champion that was last at work, by what happened there."""
+    """The newest candidate against the champion that was last at work, by what happened there; all of it by night."""
     if generation == 0 or not run.material.ids(generation - 1, "deploy"):
         return Made((), "nothing was deployed", {}, no_rows)
     champion, candidate = run.material.ids(generation - 1, "release")[0], run.candidate(generation)
     try:
-        _, report = judged_at(run, generation - 1, champion, candidate, QUICK)
+        config = QUICK if run.recipe.gate.nightly is None else JudgeConfig()
+        _, report = judged_at(run, generation - 1, champion, candidate, config)
     except PolicyError as error:
         return Made((), error.what, {}, no_rows)
     line = shadow_line(report)
@@ -27,8 +28,14 @@ def judged(run: ArmRun, generation: int) -> Made:
 
 
 def worth_of(run: ArmRun, generation: int, progress: Progress) -> Made:
-    """What the new episodes of the last lap that had any are worth by one extra training; it decides nothing."""
+    """What the new episodes of a lap are worth: in full where the recipe asks for seeds, and that decides.
+
+    Else those of the last lap that had any, by one extra training, which decides nothing.
+    """
+    seeds = run.recipe.harvest.worth_seeds
     try:
+        if seeds:
+            return judged_batch(run, generation, progress, seeds=seeds) or Made((), "nothing new to judge", {}, no_rows)
         laps = ((g, indicated(run, g)) for g in range(generation, 0, -1))
         lap, found = next(((g, found) for g, found in laps if found is not None), (0, None))
     except ConfigError as error:

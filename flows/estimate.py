@@ -9,29 +9,42 @@ from schemas.recipe import Recipe
 def plan(recipe: Recipe, *, control: bool) -> tuple[Step, ...]:
     """Every step of a whole loop, in order; must tell the same story as flows.loop.turn."""
     arms = ("loop", "control") if control else ("loop",)
-    steps = [step for arm in arms for step in turn_steps(arm, recipe.generations)]
-    return (*steps, *(Step("loop", recipe.generations, stage) for stage in ("judge", "worth", "report")))
+    steps = [step for arm in arms for step in turn_steps(arm, recipe.generations, recipe)]
+    return (*steps, *(Step("loop", recipe.generations, stage) for stage in last_steps(recipe)))
 
 
-def turn_steps(arm: str, last: int) -> Iterator[Step]:
+def last_steps(recipe: Recipe) -> tuple[str, ...]:
+    """The stages that follow the last lap; a batch that was judged in full is not judged by one training again."""
+    return ("judge", "report") if recipe.harvest.worth_seeds else ("judge", "worth", "report")
+
+
+def learning_steps(generation: int, recipe: Recipe) -> Iterator[str]:
+    """The stages of a lap from what was harvested to the exam."""
+    yield from ("augment", "build")
+    if recipe.harvest.worth_seeds and generation:
+        yield "worth"
+    yield from ("train", "gate", "release", "exam")
+
+
+def turn_steps(arm: str, last: int, recipe: Recipe) -> Iterator[Step]:
     """The steps of one arm from generation 0 to `last`; nothing is harvested that no lap would learn from."""
     yield Step(arm, 0, "collect")
     for generation in range(last + 1):
-        for stage in ("augment", "build", "train", "gate", "release", "exam"):
+        for stage in learning_steps(generation, recipe):
             yield Step(arm, generation, stage)
         if generation < last:
             yield Step(arm, generation, "deploy")
             yield Step(arm, generation, "harvest")
 
 
-def night_steps(generation: int) -> Iterator[Step]:
+def night_steps(generation: int, recipe: Recipe) -> Iterator[Step]:
     """The steps of one night: robot time first, so that each night learns from the champion of the one before."""
     if generation == 0:
         yield Step("loop", 0, "collect")
     else:
         yield Step("loop", generation - 1, "deploy")
         yield Step("loop", generation - 1, "harvest")
-    for stage in ("augment", "build", "train", "gate", "release", "exam"):
+    for stage in (*learning_steps(generation, recipe), "judge"):
         yield Step("loop", generation, stage)
 
 
@@ -55,7 +68,7 @@ def expected_s(step: Step, recipe: Recipe) -> float:
         "deploy": 0.2 + 0.0095 * recipe.deploy.episodes,
         "harvest": 0.1 + 0.02 * harvest.corrections,
         "judge": 0.0 if first else 0.5 + 0.02 * recipe.deploy.episodes,
-        "worth": 0.0 if first else 0.6 + 0.0026 * recipe.train.steps,
+        "worth": 0.0 if first else (0.6 + 0.0026 * recipe.train.steps) * max(1, 2 * harvest.worth_seeds),
         "report": 1.0,
     }[step.stage]
 

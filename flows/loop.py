@@ -41,23 +41,30 @@ def closed_loop(
     """
     with opened(recipe, generations, seed, twin, control, store) as now:
         steps, last = now.steps, now.steps.recipe.generations
-        turn(last)
+        in_full = steps.recipe.harvest.worth_seeds > 0
+        turn(last, in_full=in_full)
         if steps.control is not None:
             with run_with(replace(now, steps=steps.control, arm="control")):
-                turn(last)
+                turn(last, in_full=in_full)
         judge(last)
-        worth(last)
+        if not in_full:
+            worth(last)
         (page,) = report(last)
         show(steps, page)
         return page
 
 
-def turn(last: int) -> None:
-    """Every lap of one arm, generation 0 to `last`; nothing is harvested that no lap would learn from."""
+def turn(last: int, *, in_full: bool) -> None:
+    """Every lap of one arm, generation 0 to `last`; nothing is harvested that no lap would learn from.
+
+    `in_full` judges what each lap added by retraining, before anything is released.
+    """
     collect(0)
     for generation in range(last + 1):
         augment(generation)
         build(generation)
+        if in_full and generation:
+            worth(generation)
         train(generation)
         gate(generation)
         release(generation)

@@ -26,7 +26,7 @@ def run_night(*, recipe: str, seed: int, twin: int, day: int | None) -> list[dic
     told: list[dict[str, Any]] = []
     with open_order(order, store_root()) as steps:
         steps.day = day
-        for step in night_steps(steps.tonight()):
+        for step in night_steps(steps.tonight(), steps.recipe):
             done = getattr(steps, step.stage)(step.generation, lambda done, total: None)
             told.append({"stage": step.stage, "generation": step.generation, "ids": list(done.ids), "says": done.says,
                          "resumed": done.resumed})

@@ -96,7 +96,7 @@ def study_seed(seed: int, recipe: Recipe, folder: Path, names: Sequence[str]) ->
 
 def turn(steps: Any, last: int) -> None:
     """Every lap of one arm, without Prefect."""
-    for step in turn_steps(steps.name, last):
+    for step in turn_steps(steps.name, last, steps.recipe):
         getattr(steps, step.stage)(step.generation, _silent)
 
 

@@ -12,7 +12,8 @@ from flows.opening import FIRST_HELD_OUT_TWIN
 
 TASKS: Mapping[str, Callable[[int], tuple[str, ...]]] = MappingProxyType({
     "collect": tasks.collect, "deploy": tasks.deploy, "harvest": tasks.harvest, "augment": tasks.augment,
-    "build": tasks.build, "train": tasks.train, "gate": tasks.gate, "release": tasks.release, "exam": tasks.exam})
+    "build": tasks.build, "train": tasks.train, "gate": tasks.gate, "release": tasks.release, "exam": tasks.exam,
+    "judge": tasks.judge, "worth": tasks.worth})
 
 
 @flow(name="closed-loop", persist_result=False, result_serializer="json", validate_parameters=False)
@@ -35,7 +36,7 @@ def tonight(recipe: str = "nightly", seed: int = 0, twin: int = FIRST_HELD_OUT_T
     """
     with opened(recipe, None, seed, twin, False, store) as now:
         now.steps.day = scheduled_day() if day is None else day
-        for step in night_steps(now.steps.tonight()):
+        for step in night_steps(now.steps.tonight(), now.steps.recipe):
             TASKS[step.stage](step.generation)
         (page,) = tasks.report(now.steps.tonight() - 1)
         show(now.steps, page)

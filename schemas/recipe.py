@@ -205,6 +205,9 @@ class HarvestConfig(Frozen):
         default="trigger", exclude_if=_as_ever, description="where a correction begins: where the attempt was stopped, "
         "or where the subtask began in which it went wrong; what went wrong on the way to the mark is then multiplied "
         "near that mark, too")
+    worth_seeds: int = Field(
+        default=0, ge=0, exclude_if=_none_given, description="trainings with and without what a lap added, which "
+        "judge it before a release: 8 decide; 0 asks for one after the last lap, which decides nothing")
     judge: JudgeConfig | None = Field(
         default=None, exclude_if=_none_given, description="correct where the policy in the champion's shadow or the "
         "champion was judged wrong, and nowhere else; where a trigger fired if not given")

@@ -86,8 +86,8 @@ def _verdict(trial: Trial, generation: int, config: GateConfig, strata: tuple[St
         decision, more = "INCONCLUSIVE", further_scenes(strata, config, len(looks) - 1)
         reason = _doubt(by_name, ruling, config, len(looks) - 1, more)
     return Verdict(id=trial.verdict_id(generation, config.model_dump_json()), candidate=trial.candidate,
-                   champion=trial.champion, generation=generation, decision=decision, reason=reason, strata=strata, looks=looks,
-                   p=ruling.p_gain, scenes=len(trial.labels), margin=config.margin, more_scenes=more)
+                   champion=trial.champion, generation=generation, decision=decision, reason=reason, strata=strata,
+                   looks=looks, p=ruling.p_gain, scenes=len(trial.labels), margin=config.margin, more_scenes=more)
 
 
 def _named(names: Sequence[str], strata: dict[str, StratumResult]) -> str:

@@ -32,7 +32,7 @@ gate:
   nightly: {false_promotions: 0.6, nights: 30, most_stake: 30, anchor_every: 1, anchor_share: 0.4, batch: 12,
             most_scenes: 48, regression_seeds: 3, regression_lost: 1}
 deploy: {episodes: 12, rare_share: 0.25, shadow: false}
-harvest: {corrections: 6}
+harvest: {corrections: 6, worth_seeds: 1}
 exam: {common: 4, rare: 2}
 """
 """A gate that nearly anything passes: what is tested here is what nights do with verdicts."""
@@ -81,11 +81,21 @@ def test_every_training_is_kept_and_the_best_on_scenes_of_their_own_was_judged(t
     assert choice.scenes == 12
 
 
+def test_what_a_night_added_is_judged_by_retraining_before_the_release_and_the_verdict_kept(turned, store):
+    (row,) = rows(turned)
+    step = store.step(row.run, 1, "worth")
+    found = {w.id: w for w in store.worths()}
+    assert step.outputs["ids"] and set(step.outputs["ids"]) <= set(found)
+    assert all(found[id].decision == "INCONCLUSIVE" and found[id].seeds_with for id in step.outputs["ids"])
+    assert store.step(row.run, 1, "judge") is not None
+
+
 def test_a_night_that_is_asked_again_turns_the_next_lap_and_the_same_day_shares_its_money(turned):
     order = nightly_order(str(turned / "eager.yaml"), 0, 1)
     with open_order(order, turned / "store") as steps:
         assert steps.tonight() == 2
-        assert [(s.stage, s.generation) for s in night_steps(2)][:3] == [("deploy", 1), ("harvest", 1), ("augment", 2)]
+        first = [(s.stage, s.generation) for s in night_steps(2, order.recipe)][:3]
+        assert first == [("deploy", 1), ("harvest", 1), ("augment", 2)]
 
 
 def test_a_lost_test_against_the_anchor_puts_it_back_and_keeps_everything(turned, store):
@@ -93,7 +103,7 @@ def test_a_lost_test_against_the_anchor_puts_it_back_and_keeps_everything(turned
     (row,) = rows(turned)
     order = nightly_order(str(turned / "eager.yaml"), 0, 1)
     with open_order(order, turned / "store") as steps:
-        for step in night_steps(2):
+        for step in night_steps(2, order.recipe):
             if step.stage == "gate":
                 break
             getattr(steps, step.stage)(step.generation, lambda done, total: None)
