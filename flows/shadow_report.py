@@ -97,13 +97,15 @@ def _new(steps: Steps, cases: list[HardCase]) -> list[HardCase]:
 
 
 def replayed(report: ShadowReport) -> str:
-    """How well the stand-in reproduced what was sensed, in the median judgement."""
-    if not report.judgements:
-        return "estimated from sensors alone; nothing could be judged"
-    joints, cube = (float(np.median([getattr(j, name) for j in report.judgements]))
+    """How well the stand-in reproduced what was sensed: the median over the moments with something before them."""
+    later = [j for j in report.judgements if j.tick > 0]
+    told = f"estimated from sensors alone; {len(report.judgements) - len(later)} begin at the first tick"
+    if not later:
+        return f"{told}, nothing was replayed"
+    joints, cube = (float(np.median([getattr(j, name) for j in later]))
                     for name in ("replay_error_rad", "replay_error_m"))
-    return (f"estimated from sensors alone; replay error, median: joints {joints:.4f} rad, "
-            f"object {1000 * cube:.1f} mm (RMS, noise of perception included)")
+    return (f"{told}, before the others the replay misses the joints by {joints:.4f} rad and the object by "
+            f"{1000 * cube:.1f} mm (median of RMS, noise of perception included)")
 
 
 def show(written: Written, *, kept: bool) -> None:

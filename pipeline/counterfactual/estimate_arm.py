@@ -91,7 +91,12 @@ def identify_arm(logs: Sequence[SensedLog], scene: SceneSpec, lab: Lab, seed: in
         if late.mean() > 0.5 and delay < MAX_DELAY:
             delay, late = delay + 1, ~late  # what mostly comes late by one has a longer delay
     return ArmBelief(delay, float((late.sum() + 1) / (len(late) + 2)), centre, sd,
-                     float(np.median(np.sqrt((rest[:, :6] ** 2).mean(axis=1)), axis=None)))
+                     _typical(rest[:, :6]))
+
+
+def _typical(misses: Array) -> float:
+    """Median over rows of the RMS over columns."""
+    return float(np.sort(np.sqrt((misses ** 2).mean(axis=1)))[len(misses) // 2])
 
 
 def _plane(offsets: Array, misses: Array) -> tuple[Array, Array, Array]:
@@ -113,7 +118,7 @@ def _plane(offsets: Array, misses: Array) -> tuple[Array, Array, Array]:
         step = np.asarray(np.linalg.solve(flat, -(slope * w).T @ level), np.float64)
         left = (level + slope @ step).reshape(-1, 12)
         size = (left ** 2).sum(axis=1)
-        weight = 1 / (1 + size / (float(np.median(size)) + 1e-12))
+        weight = 1 / (1 + size / (float(np.sort(size)[len(size) // 2]) + 1e-12))
     variance = float((weight * size).sum() / (12 * weight.sum()))
     return step, np.sqrt(np.diag(np.linalg.inv(square + 1e-12 * np.eye(d))) * variance), left
 

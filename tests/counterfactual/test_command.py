@@ -95,7 +95,8 @@ def test_the_command_judges_from_sensors_alone_and_says_how_well_the_replay_fits
                           "--lasting", "1", "--json", out)
     report = ShadowReport.model_validate_json(out.read_text())
     assert code == 0 and report.estimated and report.judgements and all(j.estimated for j in report.judgements)
-    assert re.search(r"estimated from sensors alone; replay error, median: joints [\d.]+ rad, object [\d.]+ mm", said)
+    first = sum(j.tick == 0 for j in report.judgements)
+    assert f"estimated from sensors alone; {first} begin at the first tick" in said
     page = turned[0] / "reports" / f"shadow-{turned[1]}-1-{other}-estimated.html"
     assert "estimated shadow report" in page.read_text() and "estimated from what the robot sensed" in page.read_text()
 
