@@ -77,7 +77,7 @@ class Training:
             save_every: iterations between checkpoints; the last one is always saved.
 
         Raises:
-            PolicyError: the weights are not finite any more; the last checkpoint is older than that.
+            PolicyError: the actor does not give numbers any more; the last checkpoint is older than that.
         """
         if self.over:
             return self
@@ -94,8 +94,11 @@ class Training:
 
     @property
     def finite(self) -> bool:
-        """Whether every weight is a number."""
-        return all(bool(torch.isfinite(p).all()) for p in self.model.policy.parameters())
+        """Whether the actor gives numbers for what is sensed now."""
+        policy, seen = self.model.policy, self.model._last_obs
+        with torch.no_grad():
+            mean = policy.action_net(policy.mlp_extractor.forward_actor(torch.as_tensor(np.asarray(seen))))
+        return bool(torch.isfinite(mean).all() and torch.isfinite(policy.log_std.exp()).all())
 
     def export(self, path: Path) -> float:
         """Write the policy as ONNX; returns the largest difference to PyTorch on observations like those met.
