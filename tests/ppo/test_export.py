@@ -60,7 +60,7 @@ def test_weights_that_onnx_cannot_follow_leave_no_file(straight, tmp_path):
 
 
 def test_a_robot_that_senses_otherwise_is_refused(policy):
-    with pytest.raises(PolicyError, match="takes 39 values, the robot senses 41.*\n.*\n  mend: .*rl train --body"):
+    with pytest.raises(PolicyError, match=r"takes 39 values, the robot senses 41.*\n.*\n  mend: .*rl train --body"):
         OnnxRunner(policy)(np.zeros((1, 41), np.float32))
 
 

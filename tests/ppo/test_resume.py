@@ -16,7 +16,7 @@ from pipeline.ppo.training import Training
 ROOT = Path(__file__).parents[2]
 
 
-class CutOff(Exception):
+class CutOffError(Exception):
     pass
 
 
@@ -29,9 +29,9 @@ def equal(one: tuple[dict, dict], other: tuple[dict, dict]) -> bool:
 def test_a_training_cut_off_between_checkpoints_ends_with_the_same_bits(order, straight, kept, tmp_path):
     def cut(point, _):
         if point["step"] == 5 * order.ppo.iteration:
-            raise CutOff
+            raise CutOffError
 
-    with pytest.raises(CutOff):
+    with pytest.raises(CutOffError):
         Training(order, tmp_path).run(cut, save_every=2)
     np.random.seed(99)  # noqa: NPY002 a new process would have another state, too
     resumed = Training(order, tmp_path)
@@ -45,7 +45,7 @@ def test_a_training_cut_off_between_checkpoints_ends_with_the_same_bits(order, s
 def test_a_training_killed_goes_on_to_the_same_bits(order, straight, kept, tmp_path):
     code = (f"import pathlib; from pipeline.ppo.config import Order; from pipeline.ppo.training import Training; "
             f"Training(Order.model_validate_json({order.model_dump_json()!r}), pathlib.Path({str(tmp_path)!r}))"
-            ".run(lambda point, _: print(point['step'], flush=True) or (point['step'] > 200 and input()), save_every=1)")
+            ".run(lambda p, _: print(p['step'], flush=True) or (p['step'] > 200 and input()), save_every=1)")
     child = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
                              env=os.environ | {"PYTHONPATH": str(ROOT)})
     assert child.stdout is not None
@@ -80,7 +80,7 @@ def test_another_seed_gives_other_weights(order, straight, kept, tmp_path):
 
 def test_a_checkpoint_of_another_training_is_refused(order, straight):
     other = order.model_copy(update={"seed": 5})
-    with pytest.raises(PolicyError, match="another training.*\n.*\n  mend: give another folder"):
+    with pytest.raises(PolicyError, match=r"another training.*\n.*\n  mend: give another folder"):
         Training(other, straight.folder)
 
 
@@ -88,7 +88,7 @@ def test_a_checkpoint_of_another_training_is_refused(order, straight):
 def test_a_damaged_checkpoint_is_refused_in_one_line(order, straight, tmp_path, keep):
     whole = newest(straight.folder)
     (tmp_path / whole.name).write_bytes(whole.read_bytes()[:keep])
-    with pytest.raises(PolicyError, match="not a training checkpoint.*\n.*\n  mend: remove it and train again"):
+    with pytest.raises(PolicyError, match=r"not a training checkpoint.*\n.*\n  mend: remove it and train again"):
         Training(order, tmp_path)
 
 
