@@ -45,12 +45,15 @@ def legged_from_file(path: Path) -> LeggedBody:
     """Any floating robot from an MJCF or URDF file; home is its first keyframe, else all joints at 0.
 
     Its actuators decide how it is commanded: position servos, else torques. Its feet are the bodies that lie lowest.
+    URDF knows neither floating bases nor actuators: its root floats, and each joint with an effort gets a motor.
 
     Raises:
         SimulationError: the file does not load, nothing floats, or nothing is driven.
     """
     try:
         spec = mujoco.MjSpec.from_file(str(path))
+        if path.suffix == ".urdf":
+            _float_and_drive(spec)
         model = spec.copy().compile()
     except (ValueError, OSError) as error:
         raise SimulationError(f"model does not load: {one_line(error)}", where=path,
@@ -58,13 +61,26 @@ def legged_from_file(path: Path) -> LeggedBody:
     free = [j for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE]
     if len(free) != 1 or not model.nu:
         raise SimulationError(f"{len(free)} floating bodies and {model.nu} actuators", where=path,
-                              mend="give one body a free joint, and each hinge that moves an actuator")
+                              mend="give one body a free joint, and each hinge that moves an actuator (in a URDF: "
+                                   "an effort in its limit)")
     joints = tuple(model.joint(int(j)).name for j in model.actuator_trnid[:, 0])
     start = model.key_qpos[0] if model.nkey else model.qpos0
     home = tuple(float(start[model.joint(j).qposadr[0]]) for j in joints)
     servo = bool((model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE).all())
     return _legged(spec, model.body(int(model.jnt_bodyid[free[0]])).name, joints, home, _lowest(model, start),
                    "position" if servo else "torque", SERVO_RAD if servo else TORQUE_SHARE)
+
+
+def _float_and_drive(spec: mujoco.MjSpec) -> None:
+    """Make a URDF's robot one that stands free and moves: a free joint at its root, motors as strong as `effort`."""
+    root = spec.worldbody.first_body()
+    if root is not None and not list(root.joints):
+        root.add_freejoint()
+    for joint in spec.joints:
+        if joint.type == mujoco.mjtJoint.mjJNT_HINGE and joint.actfrcrange[1] > 0:
+            motor = spec.add_actuator(name=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT, target=joint.name)
+            motor.set_to_motor()
+            motor.forcelimited, motor.forcerange = True, joint.actfrcrange
 
 
 def _file(robot: str, name: str) -> Path:
@@ -126,7 +142,8 @@ def _lowest(model: mujoco.MjModel, qpos: Array) -> tuple[str, ...]:
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
-    bottom = {g: _bottom(model, data, g) for g in range(model.ngeom) if model.geom_contype[g]}
+    bottom = {g: _bottom(model, data, g) for g in range(model.ngeom)
+              if model.geom_contype[g] and model.geom_bodyid[g]}  # a floor of the file's own is no part of the robot
     floor = min(bottom.values(), default=0.0)
     lowest = [int(model.geom_bodyid[g]) for g, z in bottom.items() if z < floor + FLAT_M]
     return tuple(dict.fromkeys(model.body(b).name for b in lowest))

@@ -1,5 +1,6 @@
 """Tasks of legged robots: how attempts start, what pushes them, when they have fallen, and what is rewarded."""
 
+from math import isfinite
 from pathlib import Path
 from types import MappingProxyType
 from typing import Self
@@ -36,17 +37,17 @@ class LeggedTask(Frozen):
     """What a legged robot is to do."""
 
     instruction: str
-    seconds: float = 10.0
-    control_hz: float = 50.0
+    seconds: float = Field(default=10.0, gt=0, le=1000)
+    control_hz: float = Field(default=50.0, gt=0, le=1000)
     substeps: int = Field(default=4, ge=1, description="steps of the engine in a control period")
-    starts: dict[str, Starts]
+    starts: dict[str, Starts] = Field(min_length=1, description="kind of start -> how it is drawn; the first is usual")
     pushes: Pushes = Pushes()
     command: tuple[tuple[float, float], tuple[float, float], tuple[float, float]] = Field(
         default=((0, 0), (0, 0), (0, 0)), description="ranges of speed forward, left [m/s] and turning [rad/s]")
     stride_s: float = Field(default=0.0, ge=0, description="period of the gait's clock; 0 for none")
     fallen_rad: float = Field(default=1.0, description="lean at which an attempt has failed")
     fallen_height: float = Field(default=0.6, description="share of the home height under which it has failed")
-    weights: dict[str, float] = Field(description="reward terms of REWARDS, at most five")
+    weights: dict[str, float] = Field(min_length=1, description="reward terms of REWARDS, at most five")
 
     @property
     def ticks(self) -> int:
@@ -55,12 +56,14 @@ class LeggedTask(Frozen):
 
     @model_validator(mode="after")
     def few_known_terms(self) -> Self:
-        """At most five terms, each of them known."""
+        """At most five terms, each of them known and of a finite weight."""
         if len(self.weights) > MOST_TERMS:
             raise ValueError(f"{len(self.weights)} reward terms, at most {MOST_TERMS}: join or drop some")
         for name in self.weights:
             if name not in REWARDS:
                 raise unknown("reward term", name, REWARDS)
+        if not all(map(isfinite, self.weights.values())):
+            raise ValueError("every weight is a finite number")
         return self
 
 
