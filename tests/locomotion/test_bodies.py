@@ -14,7 +14,8 @@ from pipeline.locomotion.tasks import STAND, Pushes, Starts, load_legged_task
 from pipeline.locomotion.world import LeggedWorld
 
 HOPPER = """
-<mujoco><worldbody><geom type="plane" size="1 1 1"/><body name="trunk" pos="0 0 .5"><freejoint/><geom type="box" size=".1 .1 .1" mass="3"/>
+<mujoco><worldbody><geom type="plane" size="1 1 1"/>
+  <body name="trunk" pos="0 0 .5"><freejoint/><geom type="box" size=".1 .1 .1" mass="3"/>
   <body name="leg"><joint name="knee" axis="0 1 0" range="-1 1" limited="true"/><geom type="capsule"
     fromto="0 0 0 0 0 -.4" size=".03" mass="1"/></body></body></worldbody>
   <actuator><{kind} joint="knee" {words}/></actuator></mujoco>

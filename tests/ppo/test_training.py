@@ -17,7 +17,7 @@ def test_every_reward_term_has_a_curve_of_its_own(order, straight):
 
 def test_a_robot_that_is_paid_for_sparing_its_motors_comes_to_spare_them(order, tmp_path):
     lazy = order.task.model_copy(update={"weights": {"effort": -1.0}, "seconds": 0.6})
-    ppo = order.ppo.model_copy(update={"steps": 10_000, "attempts": 64, "batch": 512, "epochs": 4, "reward_scale": 1.0,
+    ppo = order.ppo.model_copy(update={"steps": 15_000, "attempts": 64, "batch": 512, "epochs": 4, "reward_scale": 1.0,
                                        "learning_rate": 0.01})
     curve = Training(order.model_copy(update={"task": lazy, "ppo": ppo}), tmp_path).run().curve
     first, last = (np.mean([p["terms"]["effort"] for p in part]) for part in (curve[:5], curve[-5:]))
