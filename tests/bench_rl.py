@@ -6,6 +6,7 @@ as SB3's SubprocVecEnv works in processes of its own: the three take turns in sh
 
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
@@ -22,16 +23,14 @@ from pipeline.locomotion.bodies import load_legged
 from pipeline.locomotion.tasks import load_legged_task
 from pipeline.ppo.config import PPO_CONFIGS, Order
 from pipeline.ppo.training import Training
-from pipeline.simulation.register import register
 
 STEPS, PROCESSES, ROUNDS = 16_384, 2, 3
 PPO_NUMBERS = PPO_CONFIGS["stand"].model_copy(update={"steps": STEPS})
 ASKED_STEPS, ASKED_RATIO = 15_000, 2.0
 
 
-def made() -> gym.Env:
-    register()
-    return gym.make("hardcase/Stand-v0")
+made = partial(gym.make, "pipeline.simulation.registered:hardcase/Stand-v0")
+"""Makes one environment; found again by name in a process of its own."""
 
 
 @pytest.mark.parametrize("name", ["stand", "walk"])

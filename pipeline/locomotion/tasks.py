@@ -69,7 +69,8 @@ class LeggedTask(Frozen):
 
 STAND = LeggedTask(
     instruction="Stand, whatever pushes you.",
-    starts={"leaning": Starts(tilt_rad=0.2, crouch=(0.0, 0.6), joint_rad=0.15, speed_m_s=0.4, turn_rad_s=0.5)},
+    starts={"leaning": Starts(tilt_rad=0.15, crouch=(0.0, 0.6), joint_rad=0.15, speed_m_s=0.3, turn_rad_s=0.4),
+            "thrown": Starts(tilt_rad=0.25, crouch=(0.0, 0.6), joint_rad=0.15, speed_m_s=0.5, turn_rad_s=0.7)},
     pushes=Pushes(speed_m_s=0.5),
     weights={"upright": 1.0, "height": 0.5, "still": 0.5, "posture": 0.3, "effort": -0.3})
 

@@ -205,5 +205,5 @@ def _model(env: AttemptsVecEnv, config: PpoConfig, seed: int) -> PPO:
                                   "log_std_init": config.log_std}
     return PPO("MlpPolicy", env, learning_rate=rate, n_steps=config.ticks,
                batch_size=min(config.batch, config.iteration), n_epochs=config.epochs,
-               gamma=config.gamma, gae_lambda=config.gae_lambda, clip_range=config.clip, ent_coef=config.entropy, vf_coef=config.value, max_grad_norm=config.gradient,
-               policy_kwargs=dict(network), seed=seed, device="cpu")
+               gamma=config.gamma, gae_lambda=config.gae_lambda, clip_range=config.clip, ent_coef=config.entropy,
+               vf_coef=config.value, max_grad_norm=config.gradient, policy_kwargs=dict(network), seed=seed, device="cpu")
