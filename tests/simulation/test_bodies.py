@@ -80,7 +80,7 @@ def test_a_file_that_is_no_robot_says_where_and_what_to_give(tmp_path, text):
 
 
 @pytest.mark.parametrize(("ask", "names"), [
-    (lambda: load_body("crane"), "PATH.urdf, PATH.xml, arm"), (lambda: compile_model("arm", "floor"), "table"),
+    (lambda: load_body("crane"), "PATH.urdf, PATH.xml, arm"), (lambda: compile_model("arm", "floor"), "ground, table"),
     (lambda: load_task("stack"), "pick-place"),
 ], ids=["robot", "scene", "task"])
 def test_an_unknown_name_lists_every_valid_one(ask, names):
