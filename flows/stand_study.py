@@ -1,4 +1,4 @@
-"""`hardcase measure stand`: does a trained robot stand through bad starts and pushes, beside zero and random actions?"""
+"""`hardcase measure stand`: does a trained robot stand, whatever pushes it, beside zero and random actions?"""
 
 from pathlib import Path
 from typing import Any

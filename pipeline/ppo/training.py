@@ -206,4 +206,5 @@ def _model(env: AttemptsVecEnv, config: PpoConfig, seed: int) -> PPO:
     return PPO("MlpPolicy", env, learning_rate=rate, n_steps=config.ticks,
                batch_size=min(config.batch, config.iteration), n_epochs=config.epochs,
                gamma=config.gamma, gae_lambda=config.gae_lambda, clip_range=config.clip, ent_coef=config.entropy,
-               vf_coef=config.value, max_grad_norm=config.gradient, policy_kwargs=dict(network), seed=seed, device="cpu")
+               vf_coef=config.value, max_grad_norm=config.gradient, policy_kwargs=dict(network), seed=seed,
+               device="cpu")
