@@ -98,15 +98,20 @@ def _kind(image: bytes) -> str:
     return "png" if image.startswith(b"\x89PNG") else "webp" if image.startswith(b"RIFF") else "jpg"
 
 
+def whole(name: str) -> Column:
+    """A column whose words are broken rather than cut where the terminal is narrow."""
+    return Column(name, overflow="fold")
+
+
 def show(told: Told) -> None:
     """Print families and queue."""
-    table = Table("family", "failures", "subtask", "what happened in its medoid", Column("film strip", overflow="fold"),
+    table = Table(whole("family"), "failures", "subtask", "what happened in its medoid", whole("film strip"),
                   title=f"run {told.run}, generation {told.generation}: {len(told.cases)} failures")
     for f in sorted(told.families, key=lambda f: -told.count(f.id)):
         flag = " NEW" if f.id in told.new else f" (since {f.generation})"
         table.add_row(f.name + flag, str(told.count(f.id)), f.subtask, f.says, str(told.strips.get(f.id, "")))
     names, by_id = {f.id: f.name for f in told.families}, {c.id: c for c in told.cases}
-    queue = Table("", Column("hard case", overflow="fold"), "family", "ended in 1,000", "correct from", "why", title="what to correct first")
+    queue = Table("", whole("hard case"), whole("family"), "ended in 1,000", "correct from", "why", title="what to correct first")
     for k, place in enumerate(told.queue, 1):
         case = by_id[place.case]
         queue.add_row(str(k), place.case, names[place.family], f"{place.per_1000:.1f}",
@@ -156,7 +161,7 @@ def _policy(steps: Steps, prefix: str | None) -> str:
 
 def show_regression(scenes: Sequence[RegressionScene], solved: Sequence[int] | None) -> None:
     """Print the set by family."""
-    table = Table("family", Column("scene", overflow="fold"), "start [cm]", Column("fixed by", overflow="fold"), "lap", "solved then", "solved now",
+    table = Table(whole("family"), whole("scene"), "start [cm]", whole("fixed by"), "lap", "solved then", "solved now",
                   title=f"{len(scenes)} scenes that no release may lose unsaid")
     for k, s in enumerate(scenes):
         x, y = s.scene.object_xy_m
