@@ -111,7 +111,8 @@ def show(told: Told) -> None:
         flag = " NEW" if f.id in told.new else f" (since {f.generation})"
         table.add_row(f.name + flag, str(told.count(f.id)), f.subtask, f.says, str(told.strips.get(f.id, "")))
     names, by_id = {f.id: f.name for f in told.families}, {c.id: c for c in told.cases}
-    queue = Table("", whole("hard case"), whole("family"), "ended in 1,000", "correct from", "why", title="what to correct first")
+    queue = Table("", whole("hard case"), whole("family"), "ended in 1,000", "correct from", "why",
+                  title="what to correct first")
     for k, place in enumerate(told.queue, 1):
         case = by_id[place.case]
         queue.add_row(str(k), place.case, names[place.family], f"{place.per_1000:.1f}",
