@@ -3,16 +3,15 @@
 # an array of infos holds whatever the environment tells
 # pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false, reportUnknownVariableType=false
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, override
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.utils import seeding
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from pipeline.errors import ConfigError, SimulationError
+from pipeline.errors import SimulationError
 from pipeline.locomotion.bodies import load_legged
 from pipeline.locomotion.gym_env import SEEDS, LeggedEnv, privileged, total
 from pipeline.locomotion.spaces import action_space, observation_space
@@ -20,6 +19,7 @@ from pipeline.locomotion.starts import draw_start
 from pipeline.locomotion.tasks import LeggedTask, load_legged_task
 from pipeline.locomotion.world import LeggedWorld
 from pipeline.protocols import Ids
+from pipeline.simulation.vector_env import one_each, reseed, tell
 
 type Flags = NDArray[np.bool_]
 type Step = tuple[NDArray[np.float32], NDArray[np.float64], Flags, Flags, dict[str, Any]]
@@ -61,15 +61,9 @@ class LeggedVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
     def reset(self, *, seed: int | Sequence[int | None] | None = None,
               options: dict[str, Any] | None = None) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """All attempts anew; an int seeds attempt i with seed + i."""
-        seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else seed or [None] * self.num_envs
         starts = (options or {}).get("start")
-        for name, given in (("seeds", seeds), ("starts", starts)):
-            if given is not None and len(given) != self.num_envs:
-                raise ConfigError(f"{len(given)} {name} for {self.num_envs} attempts", where="reset",
-                                  mend=f"give {self.num_envs} {name}")
-        for i, one in enumerate(seeds):
-            if one is not None or self._rngs[i] is None:
-                self._rngs[i] = seeding.np_random(one)[0]
+        one_each(self.num_envs, "starts", starts)
+        reseed(self._rngs, seed)
         self._over[:], self._begun = False, True
         infos = self._begin(self._all, starts)
         return self._world.observe(), infos
@@ -89,8 +83,9 @@ class LeggedVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         infos = self._begin(ended, None) if len(ended) else {}
         ids = np.flatnonzero(going)
         if len(ids):
-            self._tell(infos, ids, {"reward_terms": {name: values[ids] for name, values in terms.items()},
-                                    "privileged": {name: values[ids] for name, values in told.items()}})
+            tell(infos, self.num_envs, ids, {
+                "reward_terms": {name: values[ids] for name, values in terms.items()},
+                "privileged": {name: values[ids] for name, values in told.items()}})
         self._over = fallen | late
         return world.observe(), reward, fallen, late, infos
 
@@ -99,14 +94,5 @@ class LeggedVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
             starts = [int(rng.integers(SEEDS)) for i in ids if (rng := self._rngs[i]) is not None]
         self._world.restart(ids, [draw_start(self._task, self._body, self._stratum, int(s)) for s in starts])
         infos: dict[str, Any] = {}
-        self._tell(infos, ids, {"start": np.array([int(s) for s in starts], np.int64)})
+        tell(infos, self.num_envs, ids, {"start": np.array([int(s) for s in starts], np.int64)})
         return infos
-
-    def _tell(self, infos: dict[str, Any], ids: Ids, values: Mapping[str, Any]) -> None:
-        """Add the values of some attempts as Gymnasium's vector infos: an array of all, and a mask of whose it is."""
-        for name, value in values.items():
-            if isinstance(value, Mapping):
-                self._tell(infos.setdefault(name, {}), ids, value)
-            else:
-                infos.setdefault(name, np.zeros((self.num_envs, *value.shape[1:]), value.dtype))[ids] = value
-            infos.setdefault(f"_{name}", np.zeros(self.num_envs, bool))[ids] = True

@@ -15,13 +15,11 @@ import torch
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
-from pipeline.errors import PolicyError
-from pipeline.files import atomic
 from pipeline.frames import ACTION, STATE
 from pipeline.policies.act_net import ActShape
 from pipeline.policies.act_training import FittedAct
 from pipeline.policies.ensembling import DECAY
-from pipeline.policies.export import IR, OPSET, PARITY_LIMIT
+from pipeline.policies.export import IR, OPSET, write_within
 from pipeline.policies.network import Weights, array, tensor
 from pipeline.policies.runtime import Session
 
@@ -242,10 +240,4 @@ def export_act(fitted: FittedAct, path: Path) -> float:
         PolicyError: the difference is above 1e-5.
     """
     model = build_act(fitted)
-    error = act_parity(fitted, model)
-    if not error <= PARITY_LIMIT:  # also true for NaN
-        raise PolicyError(f"ONNX differs from PyTorch by {error:.1e}, above {PARITY_LIMIT:.0e}", where=path,
-                          mend="train again: weights this large amplify rounding; lower train.learning_rate")
-    with atomic(path) as stream:
-        stream.write(model)
-    return error
+    return write_within(path, model, act_parity(fitted, model))

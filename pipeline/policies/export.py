@@ -113,7 +113,15 @@ def export_onnx(fitted: Fitted, path: Path) -> float:
         PolicyError: the difference is above 1e-5.
     """
     model = build(fitted)
-    error = parity(fitted, model)
+    return write_within(path, model, parity(fitted, model))
+
+
+def write_within(path: Path, model: bytes, error: float) -> float:
+    """Write a model whose difference to PyTorch is known; returns that difference.
+
+    Raises:
+        PolicyError: the difference is above 1e-5.
+    """
     if not error <= PARITY_LIMIT:  # also true for NaN
         raise PolicyError(f"ONNX differs from PyTorch by {error:.1e}, above {PARITY_LIMIT:.0e}", where=path,
                           mend="train again: weights this large amplify rounding; lower train.learning_rate")

@@ -67,15 +67,9 @@ class PickPlaceVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
     def reset(self, *, seed: int | Sequence[int | None] | None = None,
               options: dict[str, Any] | None = None) -> tuple[Seen, dict[str, Any]]:
         """All attempts anew; an int seeds attempt i with seed + i."""
-        seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else seed or [None] * self.num_envs
         scenes = (options or {}).get("scenes")
-        for name, given in (("seeds", seeds), ("scenes", scenes)):
-            if given is not None and len(given) != self.num_envs:
-                raise ConfigError(f"{len(given)} {name} for {self.num_envs} attempts", where="reset",
-                                  mend=f"give {self.num_envs} {name}")
-        for i, one in enumerate(seeds):
-            if one is not None or self._rngs[i] is None:
-                self._rngs[i] = seeding.np_random(one)[0]
+        one_each(self.num_envs, "scenes", scenes)
+        reseed(self._rngs, seed)
         self._over[:] = False
         infos = self._begin(self._all, scenes)
         return seen(self._running(), self._all), infos
@@ -92,7 +86,7 @@ class PickPlaceVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
             terms = world.rewards(going)
             reward[going], success[going] = total(terms), world.succeeded(going)
             late[going] = world.command.ticks[going] >= self._limit
-            self._tell(infos, going, {"is_success": success[going], "reward_terms": terms})
+            tell(infos, self.num_envs, going, {"is_success": success[going], "reward_terms": terms})
         self._over = success | late
         return seen(world, self._all), reward, success, late, infos
 
@@ -105,20 +99,40 @@ class PickPlaceVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
             self._world.restart(ids, specs, from_draws([s.draws for s in specs]))
         infos: dict[str, Any] = {}
         told = np.array([s.model_dump_json() for s in specs], object)
-        self._tell(infos, ids, {"is_success": np.zeros(len(ids), bool), "scene": told})
+        tell(infos, self.num_envs, ids, {"is_success": np.zeros(len(ids), bool), "scene": told})
         return infos
-
-    def _tell(self, infos: dict[str, Any], ids: Ids, values: Mapping[str, Any]) -> None:
-        """Add the values of some attempts as Gymnasium's vector infos: an array of all, and a mask of whose it is."""
-        for name, value in values.items():
-            if isinstance(value, Mapping):
-                self._tell(infos.setdefault(name, {}), ids, value)
-            else:
-                empty = np.full(self.num_envs, None) if value.dtype == object else np.zeros(self.num_envs, value.dtype)
-                infos.setdefault(name, empty)[ids] = value
-            infos.setdefault(f"_{name}", np.zeros(self.num_envs, bool))[ids] = True
 
     def _running(self) -> World:
         if self._world is None:
             raise ConfigError("no attempt has begun", where="vector environment", mend="call reset() first")
         return self._world
+
+
+def one_each(n: int, name: str, given: Sequence[Any] | None) -> None:
+    """ConfigError where something was given, but not one for each of n attempts."""
+    if given is not None and len(given) != n:
+        raise ConfigError(f"{len(given)} {name} for {n} attempts", where="reset", mend=f"give {n} {name}")
+
+
+def reseed(rngs: list[np.random.Generator | None], seed: int | Sequence[int | None] | None) -> None:
+    """Begin the generator of every attempt that has a new seed, or none yet; an int seeds attempt i with seed + i.
+
+    Raises:
+        ConfigError: there is another number of seeds than of attempts.
+    """
+    seeds = [seed + i for i in range(len(rngs))] if isinstance(seed, int) else seed or [None] * len(rngs)
+    one_each(len(rngs), "seeds", seeds)
+    for i, one in enumerate(seeds):
+        if one is not None or rngs[i] is None:
+            rngs[i] = seeding.np_random(one)[0]
+
+
+def tell(infos: dict[str, Any], n: int, ids: Ids, values: Mapping[str, Any]) -> None:
+    """Add the values of some of n attempts as Gymnasium's vector infos: an array of all, and a mask of whose it is."""
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            tell(infos.setdefault(name, {}), n, ids, value)
+        else:
+            nothing = None if value.dtype == object else 0
+            infos.setdefault(name, np.full((n, *value.shape[1:]), nothing, value.dtype))[ids] = value
+        infos.setdefault(f"_{name}", np.zeros(n, bool))[ids] = True

@@ -168,7 +168,8 @@ policy.act(Observation(np.zeros((1, 16)), np.zeros((1, 7)), {{"close": np.zeros(
            np.arange(1))
 assert not {{"torch", "lerobot"}} & sys.modules.keys(), "the robot needs neither"
 """
-    subprocess.run([sys.executable, "-c", words], cwd=ROOT, check=True, timeout=300)
+    done = subprocess.run([sys.executable, "-c", words], cwd=ROOT, timeout=300)
+    assert done.returncode == 0
 
 
 def test_an_attempt_acts_alike_in_any_company_and_from_any_memory(folder):
