@@ -30,16 +30,15 @@ from pipeline.footage import FEATURE
 from pipeline.frames import ACTION, ENVIRONMENT, STATE
 from pipeline.lerobot_view.augmenting import Augment
 from pipeline.policies.act_net import CHANNELS, ActShape, load, measure_norms, narrow, weights_of
-from pipeline.policies.network import Weights, array, tensor
-from pipeline.policies.optimiser import FlatAdamW, one_cycle
-from pipeline.policies.resuming import VECTORS, Curve, Progress, load_progress, save_progress
+from pipeline.policies.course import Course
+from pipeline.policies.network import Weights, tensor
+from pipeline.policies.optimiser import FlatAdamW
+from pipeline.policies.resuming import save_progress
 from pipeline.policies.training import deterministic
 from schemas.recipe import TrainConfig
 
 type F32 = NDArray[np.float32]
 
-POINTS = 15
-"""Points of the loss curves."""
 STATISTICS_ROWS, HELD_OUT_ROWS = 512, 256
 FLOOR, ACTION_FLOOR, PIXEL_FLOOR = 1e-3, 1e-4, 1.0
 """Smallest standard deviation of what is normalised [m or rad; 1 of 255 for pixels]."""
@@ -157,17 +156,16 @@ class _Trainer:
         model: Any = self.policy.model
         model.backbone.register_forward_hook(self._keep)
         measure_norms(self.policy, self.pictures(seen))
-        self.identity = short_id(
+        identity = short_id(
             config.model_dump_json(), seed, torch.__version__, self.shape,
             *(getattr(self.scales, name).tobytes().hex() for name in Scales.__slots__))
         self.policy.train()
-        self.optimiser = FlatAdamW([*self.policy.parameters(), *self.head.parameters()])
-        self.step, self.window = 0, 0.0
-        self.train_loss: Curve = []
-        self.held_out_loss: Curve = []
+        optimiser = FlatAdamW([*self.policy.parameters(), *self.head.parameters()])
         thin = max(1, -(-len(data.held_out_rows) // HELD_OUT_ROWS))
         rows = data.held_out_rows[::thin]
-        self.held_out = self.tensors(rows) if len(rows) else None
+        held_out = self.tensors(rows) if len(rows) else None
+        self.course = Course(config, optimiser, identity,
+                             (lambda: self.losses(*held_out)[0].item()) if held_out is not None else None)
 
     def _statistics(self) -> tuple[Scales, tuple[F32, F32], NDArray[np.uint8]]:
         rows = self.data.draw(np.random.default_rng((self.seed, STATISTICS)), STATISTICS_ROWS)
@@ -212,43 +210,16 @@ class _Trainer:
         return loss, F.smooth_l1_loss(self.head(self.features.flatten(1)), where)
 
     def update(self) -> None:
-        """One step; a point of the curves where one is due."""
-        rng = np.random.default_rng((self.seed, TRAIN, self.step))
+        """One step."""
+        rng = np.random.default_rng((self.seed, TRAIN, self.course.step))
         loss, hint = self.losses(*self.tensors(self.data.draw(rng, self.config.batch), rng))
         (loss + HINT * hint).backward()  # pyright: ignore[reportUnknownMemberType]
         linalg: Any = torch.linalg
-        length = float(linalg.vector_norm(self.optimiser.gradient))
+        gradient = self.course.optimiser.gradient
+        length = float(linalg.vector_norm(gradient))
         if length > LONGEST_GRADIENT:
-            self.optimiser.gradient.mul_(LONGEST_GRADIENT / length)
-        self.optimiser.step(self.step, one_cycle(self.step, self.config.steps, self.config.learning_rate))
-        self.window += loss.item()
-        self.step += 1
-        every = max(1, self.config.steps // POINTS)
-        if self.step % every == 0:
-            self._point(every)
-
-    def _point(self, every: int) -> None:
-        if not math.isfinite(self.window):
-            raise PolicyError(f"training diverged before step {self.step}",
-                              where=f"learning_rate {self.config.learning_rate}", mend="lower train.learning_rate")
-        self.train_loss.append((self.step, self.window / every))
-        self.window = 0.0
-        if self.held_out is not None:
-            with torch.no_grad():
-                self.held_out_loss.append((self.step, self.losses(*self.held_out)[0].item()))
-
-    def progress(self) -> Progress:
-        """What a checkpoint holds."""
-        vectors = {name: array(getattr(self.optimiser, name)) for name in VECTORS}
-        return Progress(self.step, self.window, self.train_loss, self.held_out_loss, vectors)
-
-    def resume(self, path: Path) -> None:
-        """Go back to where a checkpoint stands."""
-        saved = load_progress(path, self.identity, self.optimiser.weights.numel())
-        for name, vector in saved.vectors.items():
-            getattr(self.optimiser, name).copy_(tensor(vector))
-        self.step, self.window = saved.step, saved.window
-        self.train_loss, self.held_out_loss = saved.train_loss, saved.held_out_loss
+            gradient.mul_(LONGEST_GRADIENT / length)
+        self.course.advance(loss.item())
 
 
 def fit_act(data: PictureSource, config: TrainConfig, seed: int, *, resume_from: Path | None = None,
@@ -272,12 +243,12 @@ def fit_act(data: PictureSource, config: TrainConfig, seed: int, *, resume_from:
     with deterministic(threads):
         trainer = _Trainer(data, config, seed)
         if resume_from is not None:
-            trainer.resume(resume_from)
-        while trainer.step < config.steps:
+            trainer.course.resume(resume_from)
+        while trainer.course.step < config.steps:
             trainer.update()
-            if checkpoints is not None and trainer.step % config.checkpoint_every == 0:
-                save_progress(checkpoints, trainer.identity, trainer.progress())
-            if progress is not None and trainer.step % 10 == 0:
-                progress(trainer.step, config.steps, trainer.train_loss[-1][1] if trainer.train_loss else math.nan)
-        return FittedAct(trainer.shape, weights_of(trainer.policy), trainer.scales, tuple(trainer.train_loss),
-                         tuple(trainer.held_out_loss))
+            if checkpoints is not None and trainer.course.step % config.checkpoint_every == 0:
+                save_progress(checkpoints, trainer.course.identity, trainer.course.progress())
+            if progress is not None and trainer.course.step % 10 == 0:
+                progress(trainer.course.step, config.steps, trainer.course.last_loss)
+        return FittedAct(trainer.shape, weights_of(trainer.policy), trainer.scales, tuple(trainer.course.train_loss),
+                         tuple(trainer.course.held_out_loss))

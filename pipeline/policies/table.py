@@ -119,15 +119,15 @@ def _open_act(path: Path) -> Policy:
 
 POLICIES: Mapping[str, PolicyKind] = MappingProxyType({
     "chunked": PolicyKind(_load, _fit, _write, _export, _open, (
-        "frames.py", "lerobot_view/training_data.py", "policies/checkpoint.py", "policies/ensembling.py",
-        "policies/export.py", "policies/features.py", "policies/network.py", "policies/optimiser.py",
-        "policies/training.py")),
+        "frames.py", "lerobot_view/training_data.py", "policies/checkpoint.py", "policies/course.py",
+        "policies/ensembling.py", "policies/export.py", "policies/features.py", "policies/network.py",
+        "policies/optimiser.py", "policies/training.py")),
     "act": PolicyKind(_load_act, _fit_act, _write_act, _export_act, _open_act, (
         "footage.py", "frames.py", "lerobot_view/augmenting.py", "lerobot_view/frame_cache.py",
         "lerobot_view/frame_weights.py", "lerobot_view/samples.py", "lerobot_view/training_data.py",
         "policies/act_checkpoint.py", "policies/act_export.py", "policies/act_net.py", "policies/act_training.py",
-        "policies/ensembling.py", "policies/export.py", "policies/network.py", "policies/optimiser.py",
-        "policies/training.py"), sees=True),
+        "policies/course.py", "policies/ensembling.py", "policies/export.py", "policies/network.py",
+        "policies/optimiser.py", "policies/training.py"), sees=True),
 })
 
 

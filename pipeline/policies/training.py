@@ -5,7 +5,6 @@ be carried along: a training resumed at any checkpoint sees the very batches an 
 on one machine ends in the same bits. They are drawn in blocks by a second thread, while this one computes.
 """
 
-import math
 from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -20,15 +19,14 @@ from torch import Tensor
 from pipeline.errors import PolicyError
 from pipeline.files import short_id
 from pipeline.frames import ACTION, ENVIRONMENT, STATE
+from pipeline.policies.course import Course
 from pipeline.policies.network import ChunkedNet, Shape, Weights, array, tensor
-from pipeline.policies.optimiser import FlatAdamW, one_cycle
-from pipeline.policies.resuming import VECTORS, Curve, Progress, load_progress, save_progress
+from pipeline.policies.optimiser import FlatAdamW
+from pipeline.policies.resuming import save_progress
 from pipeline.policies.source import F32, Batch, TrainingSource
 from schemas.recipe import TrainConfig
 
 STEPS_A_BLOCK = 20
-POINTS = 15
-"""Points of the loss curves."""
 STATISTICS_ROWS, HELD_OUT_ROWS = 16384, 2048
 FEATURE_FLOOR, ACTION_FLOOR = 0.03, 1e-4
 """Smallest standard deviation [m, rad or 1]: what hardly varied in training must not shout on the robot."""
@@ -99,15 +97,14 @@ class _Trainer:
         features = self.net.features(tensor(state), tensor(environment)).double()
         self.net.feature_mean.copy_(features.mean(0))
         self.net.feature_std.copy_(features.std(0, correction=0).clip(FEATURE_FLOOR))
-        self.identity = short_id(config.model_dump_json(), seed, array(self.net.feature_mean).tobytes().hex(),
-                                 self.mean.tobytes().hex(), torch.__version__)
-        self.optimiser = FlatAdamW(list(self.net.parameters()))
-        self.step, self.window = 0, 0.0
-        self.train_loss: Curve = []
-        self.held_out_loss: Curve = []
-        held_out = data.held_out(config.chunk)
-        thin = max(1, -(-len(held_out[0]) // HELD_OUT_ROWS))
-        self.held_out = self.tensors(_every(held_out, thin)) if len(held_out[0]) else None
+        identity = short_id(config.model_dump_json(), seed, array(self.net.feature_mean).tobytes().hex(),
+                            self.mean.tobytes().hex(), torch.__version__)
+        optimiser = FlatAdamW(list(self.net.parameters()))
+        rows = data.held_out(config.chunk)
+        thin = max(1, -(-len(rows[0]) // HELD_OUT_ROWS))
+        held_out = self.tensors(_every(rows, thin)) if len(rows[0]) else None
+        self.course = Course(config, optimiser, identity,
+                             (lambda: self.loss(*held_out).item()) if held_out is not None else None)
 
     def _rng(self, *stream: int) -> np.random.Generator:
         return np.random.default_rng((self.seed, *stream))
@@ -138,39 +135,14 @@ class _Trainer:
         return total / keep.sum()
 
     def update(self, features: Tensor, target: Tensor, keep: Tensor) -> None:
-        """One step; a point of the curves where one is due."""
+        """One step."""
         loss = self.loss(features, target, keep)
         loss.backward()  # pyright: ignore[reportUnknownMemberType]
-        self.optimiser.step(self.step, one_cycle(self.step, self.config.steps, self.config.learning_rate))
-        self.window += loss.item()
-        self.step += 1
-        every = max(1, self.config.steps // POINTS)
-        if self.step % every == 0:
-            if not math.isfinite(self.window):
-                raise PolicyError(f"training diverged before step {self.step}",
-                                  where=f"learning_rate {self.config.learning_rate}", mend="lower train.learning_rate")
-            self.train_loss.append((self.step, self.window / every))
-            self.window = 0.0
-            if self.held_out is not None:
-                with torch.no_grad():
-                    self.held_out_loss.append((self.step, self.loss(*self.held_out).item()))
-
-    def progress(self) -> Progress:
-        """What a checkpoint holds."""
-        vectors = {name: array(getattr(self.optimiser, name)) for name in VECTORS}
-        return Progress(self.step, self.window, self.train_loss, self.held_out_loss, vectors)
-
-    def resume(self, path: Path) -> None:
-        """Go back to where a checkpoint stands."""
-        saved = load_progress(path, self.identity, self.optimiser.weights.numel())
-        for name, vector in saved.vectors.items():
-            getattr(self.optimiser, name).copy_(tensor(vector))
-        self.step, self.window = saved.step, saved.window
-        self.train_loss, self.held_out_loss = saved.train_loss, saved.held_out_loss
+        self.course.advance(loss.item())
 
     def blocks(self) -> Iterator[tuple[int, tuple[Tensor, Tensor, Tensor]]]:
         """(first step, tensors) of every block from here on; the next is drawn while one is used."""
-        first, last = self.step // STEPS_A_BLOCK, (self.config.steps - 1) // STEPS_A_BLOCK
+        first, last = self.course.step // STEPS_A_BLOCK, (self.config.steps - 1) // STEPS_A_BLOCK
         with ThreadPoolExecutor(1) as pool:
             coming = pool.submit(self.block, first)
             for number in range(first, last + 1):
@@ -200,14 +172,14 @@ def fit(data: TrainingSource, config: TrainConfig, seed: int, *, resume_from: Pa
     with deterministic(threads):
         trainer = _Trainer(data, config, seed)
         if resume_from is not None:
-            trainer.resume(resume_from)
+            trainer.course.resume(resume_from)
         for start, block in trainer.blocks():
-            for step in range(max(start, trainer.step), min(start + STEPS_A_BLOCK, config.steps)):
+            for step in range(max(start, trainer.course.step), min(start + STEPS_A_BLOCK, config.steps)):
                 rows = slice((step - start) * config.batch, (step - start + 1) * config.batch)
                 trainer.update(*(part[rows] for part in block))
-                if checkpoints is not None and trainer.step % config.checkpoint_every == 0:
-                    save_progress(checkpoints, trainer.identity, trainer.progress())
+                if checkpoints is not None and trainer.course.step % config.checkpoint_every == 0:
+                    save_progress(checkpoints, trainer.course.identity, trainer.course.progress())
             if progress is not None:
-                progress(trainer.step, config.steps, trainer.train_loss[-1][1] if trainer.train_loss else math.nan)
+                progress(trainer.course.step, config.steps, trainer.course.last_loss)
         return Fitted(trainer.net.shape, trainer.net.weights(), trainer.mean, trainer.std,
-                      tuple(trainer.train_loss), tuple(trainer.held_out_loss))
+                      tuple(trainer.course.train_loss), tuple(trainer.course.held_out_loss))
