@@ -30,7 +30,7 @@ def run_train(order: Order, folder: Path, *, threads: int, resume: bool, as_json
     Raises:
         HardcaseError: a wrong name, a folder of another training, or one that would be overwritten.
     """
-    from pipeline.ppo.checkpoint import newest
+    from pipeline.policies.resuming import newest
 
     if newest(folder) is not None and not resume:
         raise ConfigError("a training lies here already", where=folder,

@@ -2,22 +2,17 @@
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from pipeline.counterfactual.estimate import gains_from_start_estimated, identified, judge_estimated
 from pipeline.counterfactual.estimate_log import SensedLog
 from pipeline.counterfactual.judging import Named
 from pipeline.counterfactual.moment import Lab
 from pipeline.counterfactual.ride import Restorable
-from pipeline.counterfactual.summary import FromStart, Subject, summarize
+from pipeline.counterfactual.summary import Subject, from_start, summarize
 from pipeline.simulation.bodies import load_body
 from pipeline.simulation.model import compose
 from schemas.counterfactual import JudgeConfig, ShadowReport
 from schemas.episode import Episode
 from schemas.recipe import Recipe
-
-FROM_START_DRAWS = 2
-"""Draws of an attempt that is played from its first tick: more attempts say more than more draws of one."""
 
 
 def estimate(attempts: Sequence[tuple[Episode, SensedLog]], champion: Restorable, candidate: Restorable,
@@ -37,12 +32,6 @@ def estimate(attempts: Sequence[tuple[Episode, SensedLog]], champion: Restorable
     who = Named(subject.champion, champion), Named(subject.candidate, candidate)
     robot = identified(attempts, lab, config.seed)
     judged = judge_estimated(attempts, *who, robot, lab, config, recipe.harvest)
-    n = min(config.checked, len(attempts))
-    rng = np.random.default_rng([config.seed, 23])
-    picked: list[int] = sorted(rng.choice(len(attempts), n, replace=False).tolist())
-    start = None
-    if picked:
-        few = config.model_copy(update={"draws": FROM_START_DRAWS})
-        start = FromStart(picked, gains_from_start_estimated([attempts[i] for i in picked], *who, robot, lab, few,
-                                                             recipe.harvest))
+    start = from_start(attempts, config, lambda few, less: gains_from_start_estimated(
+        few, *who, robot, lab, less, recipe.harvest))
     return summarize(subject, attempts, judged, start, config).model_copy(update={"estimated": True})

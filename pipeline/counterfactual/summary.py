@@ -1,7 +1,7 @@
 """Summary: from judgements to the shadow report: who was right where, what a promotion would change, what to do."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -37,6 +37,28 @@ class FromStart:
     attempts: Sequence[int]
     """Indices."""
     gains: Array
+
+
+FROM_START_DRAWS = 2
+"""Draws of an attempt that is played from its first tick: more attempts say more than more draws of one."""
+
+
+def from_start[A](attempts: Sequence[A], config: JudgeConfig,
+                  gains: Callable[[Sequence[A], JudgeConfig], Array]) -> FromStart | None:
+    """Judge a random sample of the attempts from their first tick; None where none is to be checked.
+
+    Args:
+        attempts: all of them.
+        config: how many are checked, and the seed that draws them.
+        gains: (attempts, config with the draws of each) -> success of the candidate minus that of the champion.
+    """
+    n = min(config.checked, len(attempts))
+    rng = np.random.default_rng([config.seed, 23])
+    picked: list[int] = sorted(rng.choice(len(attempts), n, replace=False).tolist())
+    if not picked:
+        return None
+    few = config.model_copy(update={"draws": FROM_START_DRAWS})
+    return FromStart(picked, gains([attempts[i] for i in picked], few))
 
 
 def summarize(subject: Subject, attempts: Sequence[Seen], judged: Judged, start: FromStart | None,

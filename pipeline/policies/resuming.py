@@ -1,7 +1,8 @@
 """Resumable training checkpoints: one safetensors file with JSON in its header, whole or absent."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -45,12 +46,34 @@ def save_progress(folder: Path, identity: str, progress: Progress) -> Path:
     path = folder / f"step-{progress.step:07d}.safetensors"
     facts = {"identity": identity, "step": progress.step, "window": progress.window,
              "train_loss": progress.train_loss, "held_out_loss": progress.held_out_loss}
+    return keep(path, progress.vectors, facts)
+
+
+def keep(path: Path, arrays: Mapping[str, NDArray[Any]], facts: Mapping[str, Any]) -> Path:
+    """Write arrays and JSON of a training, `step-*.safetensors`, and drop what else its folder has of that name."""
     with atomic(path) as stream:
-        stream.write(untyped.save(dict(progress.vectors), {"training": json.dumps(facts)}))
-    for other in folder.glob("step-*.safetensors"):
+        stream.write(untyped.save(dict(arrays), {"training": json.dumps(facts)}))
+    for other in path.parent.glob("step-*.safetensors"):
         if other != path:
             other.unlink()
     return path
+
+
+def unpacked(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """JSON and arrays that `keep` wrote; call within `readable`."""
+    data = path.read_bytes()
+    size = int.from_bytes(data[:8], "little")  # safetensors: header length, JSON header, tensors
+    arrays: dict[str, NDArray[Any]] = untyped.load(data)
+    return json.loads(json.loads(data[8 : 8 + size])["__metadata__"]["training"]), arrays
+
+
+@contextmanager
+def readable(path: Path, mend: str) -> Generator[None]:
+    """PolicyError with this mend for whatever a damaged checkpoint raises while it is taken apart."""
+    try:
+        yield
+    except (SafetensorError, OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise PolicyError(f"not a training checkpoint: {error}", where=path, mend=mend) from error
 
 
 def newest(folder: Path) -> Path | None:
@@ -64,15 +87,10 @@ def load_progress(path: Path, identity: str, parameters: int) -> Progress:
     Raises:
         PolicyError: the file is damaged, or belongs to another training.
     """
-    try:
-        data = path.read_bytes()
-        vectors: dict[str, NDArray[np.float32]] = untyped.load(data)
-        size = int.from_bytes(data[:8], "little")  # safetensors: header length, JSON header, tensors
-        facts = json.loads(json.loads(data[8 : 8 + size])["__metadata__"]["training"])
+    with readable(path, RETRAIN):
+        facts, vectors = unpacked(path)
         progress = Progress(facts["step"], facts["window"], [(s, v) for s, v in facts["train_loss"]],
                             [(s, v) for s, v in facts["held_out_loss"]], vectors)
-    except (SafetensorError, OSError, ValueError, KeyError, TypeError) as error:
-        raise PolicyError(f"not a training checkpoint: {error}", where=path, mend=RETRAIN) from error
     if facts.get("identity") != identity:
         raise PolicyError("checkpoint of another training (data, config, seed or network differ)",
                           where=path, mend=RETRAIN)

@@ -19,6 +19,7 @@ from torch import nn
 from pipeline.errors import PolicyError
 from pipeline.locomotion.attempts import Attempts
 from pipeline.locomotion.bodies import load_legged
+from pipeline.policies.resuming import newest
 from pipeline.ppo import checkpoint
 from pipeline.ppo.checkpoint import Saved
 from pipeline.ppo.config import Order, PpoConfig
@@ -56,7 +57,7 @@ class Training:
         self.curve: list[Point] = []
         self.cpu_s = self.wall_s = 0.0
         """Time spent so far, in this process and in those before it [s]."""
-        if (path := checkpoint.newest(folder)) is not None:
+        if (path := newest(folder)) is not None:
             self._load(checkpoint.load(path, order.id), path)
 
     @property

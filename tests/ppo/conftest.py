@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from pipeline.locomotion.tasks import load_legged_task
-from pipeline.ppo.checkpoint import load, newest
+from pipeline.policies.resuming import newest
+from pipeline.ppo.checkpoint import load
 from pipeline.ppo.config import Order, PpoConfig
 from pipeline.ppo.training import Training
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pipeline.errors import PolicyError
-from pipeline.ppo.checkpoint import newest
+from pipeline.policies.resuming import newest
 from pipeline.ppo.training import Training
 
 ROOT = Path(__file__).parents[2]
