@@ -9,8 +9,10 @@ import pytest
 
 from flows.mining_told import mined_lap
 from flows.regression import checked
+from flows.steps import open_run
 from pipeline.errors import ConfigError
 from pipeline.mining.planted import PLANTED, fail
+from pipeline.recipes import load_recipe
 from pipeline.simulation.perceived import as_perceived
 from pipeline.simulation.recordings import episode_id
 from pipeline.store import Store
@@ -70,20 +72,27 @@ def test_mine_refuses_what_was_never_deployed_in_one_line(root, hardcase, monkey
     assert "Traceback" not in err
 
 
-def test_a_release_that_loses_a_fixed_scene_says_so_by_scene_and_family(steps, root, hardcase, monkeypatch):
-    old, new = steps.candidate(0), steps.candidate(1)
-    case = next(c for c in steps.store.hard_cases(run=steps.run, corrected=True) if c.stratum != "common")
-    episode = steps.store.episode(case.episode)
-    scene = as_perceived(episode.scene, steps.material.frames(episode).environment[0])
-    names = {f.id: f.name for f in steps.store.families(run=steps.run)}
-    kept = RegressionScene(id=episode_id("deployed", scene, "kept"), hard_case=case.id, episode=case.episode,
-                           family=names[case.found], scene=scene, fixed_by=new, generation=1, solved=8, played=8)
-    first = steps.store.champion(steps.run)
-    with steps.store.commit(steps.lease, steps.run) as tx:
-        tx.add_regression_scenes([kept])
-        tx.add_release(Release(number=2, policy=new, previous=old, verdict=first.verdict, kind="promotion",
-                               onnx=first.onnx))
-    assert checked(steps, 1, old).lost == (kept,)
+@pytest.fixture(scope="module")
+def kept(root) -> RegressionScene:
+    """A scene of the loop's regression set, put there with the release that fixed it."""
+    with open_run(root, load_recipe(str(root.parent / "mined.yaml")), seed=3, twin=4, control=False) as steps:
+        old, new = steps.candidate(0), steps.candidate(1)
+        case = next(c for c in steps.store.hard_cases(run=steps.run, corrected=True) if c.stratum != "common")
+        episode = steps.store.episode(case.episode)
+        scene = as_perceived(episode.scene, steps.material.frames(episode).environment[0])
+        names = {f.id: f.name for f in steps.store.families(run=steps.run)}
+        fixed = RegressionScene(id=episode_id("deployed", scene, "kept"), hard_case=case.id, episode=case.episode,
+                                family=names[case.found], scene=scene, fixed_by=new, generation=1, solved=8, played=8)
+        first = steps.store.champion(steps.run)
+        with steps.store.commit(steps.lease, steps.run) as tx:
+            tx.add_regression_scenes([fixed])
+            tx.add_release(Release(number=2, policy=new, previous=old, verdict=first.verdict, kind="promotion",
+                                   onnx=first.onnx))
+    return fixed
+
+
+def test_a_release_that_loses_a_fixed_scene_says_so_by_scene_and_family(steps, kept):
+    assert checked(steps, 1, steps.candidate(0)).lost == (kept,)
     said = steps.rollback().says
     assert f"LOSES 1 of 1 regression scenes: {kept.family} {kept.id}" in said
     assert steps.store.champion(steps.run).lost == (kept.id,)
@@ -100,10 +109,12 @@ def test_a_regression_scene_knows_nothing_of_the_twin(steps):
     assert scene.stratum == stratum_of(seen)
 
 
-def test_forgetting_an_attempt_takes_its_family_and_its_regression_scene_along(root, hardcase, monkeypatch, tmp_path):
+def test_forgetting_an_attempt_takes_its_family_and_its_regression_scene_along(
+        root, kept, hardcase, monkeypatch, tmp_path):
     copytree(root, tmp_path / "store")
     with Store.open(tmp_path / "store") as store:
-        (kept,), family = store.regression_scenes(), store.families()[0]
+        family = store.families()[0]
+        assert store.regression_scenes() == [kept]
     monkeypatch.setenv("HARDCASE_STORE", str(tmp_path / "store"))
     for episode in dict.fromkeys((kept.episode, family.medoid)):
         assert hardcase("forget", episode, "--reason", "asked for", "--yes")[0] == 0
