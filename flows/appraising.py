@@ -4,7 +4,7 @@ from flows.arm_run import ArmRun, Made, no_rows
 from flows.judging import judged_at
 from flows.steps_api import Progress
 from flows.worth import indicated, judged_batch
-from pipeline.errors import ConfigError, PolicyError
+from pipeline.policies.table import policy_kind
 from schemas.counterfactual import JudgeConfig, ShadowReport
 from schemas.summary import ShadowLine, WorthLine
 from schemas.worth import BatchWorth
@@ -17,12 +17,11 @@ def judged(run: ArmRun, generation: int) -> Made:
     """The newest candidate against the champion that was last at work, by what happened there; all of it by night."""
     if generation == 0 or not run.material.ids(generation - 1, "deploy"):
         return Made((), "nothing was deployed", {}, no_rows)
+    if policy_kind(run.recipe.train.policy).sees:
+        return Made((), "policies that see cannot be put back to a moment", {}, no_rows)
     champion, candidate = run.material.ids(generation - 1, "release")[0], run.candidate(generation)
-    try:
-        config = QUICK if run.recipe.gate.nightly is None else JudgeConfig()
-        _, report = judged_at(run, generation - 1, champion, candidate, config)
-    except PolicyError as error:
-        return Made((), error.what, {}, no_rows)
+    config = QUICK if run.recipe.gate.nightly is None else JudgeConfig()
+    _, report = judged_at(run, generation - 1, champion, candidate, config)
     line = shadow_line(report)
     return Made((), line.says, {"shadow": line.model_dump(mode="json")}, no_rows)
 
@@ -32,14 +31,12 @@ def worth_of(run: ArmRun, generation: int, progress: Progress) -> Made:
 
     Else those of the last lap that had any, by one extra training, which decides nothing.
     """
-    seeds = run.recipe.harvest.worth_seeds
-    try:
-        if seeds:
-            return judged_batch(run, generation, progress, seeds=seeds) or Made((), "nothing new to judge", {}, no_rows)
-        laps = ((g, indicated(run, g)) for g in range(generation, 0, -1))
-        lap, found = next(((g, found) for g, found in laps if found is not None), (0, None))
-    except ConfigError as error:
-        return Made((), error.what, {}, no_rows)
+    if policy_kind(run.recipe.train.policy).sees:
+        return Made((), "a batch is judged by policies that see the state", {}, no_rows)
+    if seeds := run.recipe.harvest.worth_seeds:
+        return judged_batch(run, generation, progress, seeds=seeds) or Made((), "nothing new to judge", {}, no_rows)
+    laps = ((g, indicated(run, g)) for g in range(generation, 0, -1))
+    lap, found = next(((g, found) for g, found in laps if found is not None), (0, None))
     progress(1, 1)
     if found is None:
         return Made((), "no lap added anything", {}, no_rows)

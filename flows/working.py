@@ -97,9 +97,11 @@ def harvested(run: ArmRun, generation: int, progress: Progress) -> Made:
 def _to_correct(run: ArmRun, generation: int) -> tuple[list[Attempt], list[HardCase] | None]:
     """Attempts that a trigger stopped; or all of them, and the moments at which somebody was judged wrong."""
     config = run.recipe.harvest.judge
-    champion = run.champion(generation) if config is not None else ""
-    riders = run.material.riders(champion, 1) if config is not None else ()
-    if config is None or not riders:  # the first lap has nobody to disagree with
+    if config is None:
+        return run.material.failed_attempts(generation), None
+    champion = run.champion(generation)
+    riders = run.material.riders(champion, 1)
+    if not riders:  # the first lap has nobody to disagree with
         return run.material.failed_attempts(generation), None
     attempts, report = judged_at(run, generation, champion, riders[0], config)
     return attempts, cases_of(report.judgements, generation, run.name)
