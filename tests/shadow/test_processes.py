@@ -36,7 +36,7 @@ BROKEN = {
     "killed": ("other", None, kill, "crashed: its process died (SIGKILL)"),
     "crashes": ("other", None, segfault, "crashed: its process died (SIGSEGV)"),
     "hangs": ("other", Limits(answer_s=1.0), stop, "hung: no answer within 1 s"),
-    "is slow": ("other", Limits(patience_s=1e-6), None, "slow: the clock waited 1e-06 s for it in 1 ticks"),
+    "is slow": ("busy", Limits(patience_s=0.01), None, "slow: the clock waited 0.01 s for it in 1 ticks"),
     "takes memory": ("hog", Limits(memory_bytes=120 * MIB), None, "crashed: takes more than 120 MiB of memory"),
     "takes the core": ("busy", Limits(cpu_s=1), None, "crashed: takes more than 1 s of CPU time"),
     "is hostile": ("hostile", None, None, "refused: pickle where a model is expected"),
