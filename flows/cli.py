@@ -10,8 +10,8 @@ import typer
 import typer.main
 from typer.exceptions import TyperException
 
-from flows.cli_recordings import commands as recordings
-from flows.wrong_words import PROGRAM, refusal, with_help
+from flows.commands.recordings import commands as recordings
+from flows.commands.wrong_words import PROGRAM, refusal, with_help
 from pipeline.errors import ConfigError, HardcaseError
 
 REFUSED, INTERRUPTED = 2, 130
@@ -93,7 +93,7 @@ def loop(
 
     Example: hardcase loop --generations 3 --twin 101 --json result.json
     """
-    from flows.opening import order_of, recall
+    from flows.run.opening import order_of, recall
     from pipeline.store import store_root
 
     if resume and (control or any(option is not None for option in (generations, seed, twin, recipe, policy))):
@@ -105,7 +105,7 @@ def loop(
     order = recall(store_root()) if resume else order_of(
         recipe, generations, seed, twin, control=control, policy=policy)
 
-    from flows.session import run_loop
+    from flows.service.session import run_loop
 
     try:
         run_loop(order, store_root(), json=json, browse=browse)
@@ -119,7 +119,7 @@ def _stage(
     policy: str | None = None,
 ) -> None:
     """Run one stage of the current generation by hand: the same steps as the flow's, without Prefect."""
-    from flows.by_hand import run_stage
+    from flows.commands.by_hand import run_stage
 
     _print(run_stage(name, run=run, recipe=recipe, seed=seed, twin=twin, policy=policy), as_json)
 
@@ -193,7 +193,7 @@ def release(
     Example: hardcase release --rollback
     """
     if rollback:
-        from flows.by_hand import roll_back
+        from flows.commands.by_hand import roll_back
 
         _print(roll_back(run=run), json)
     else:
@@ -249,7 +249,7 @@ def study(
 
     Example: hardcase study --seeds 8 --json study.json
     """
-    from flows.study import run_study
+    from flows.studies.study import run_study
 
     run_study(seeds=seeds, recipe=recipe or "default", json=json, arms=tuple(arm or ()), first=first)
 
@@ -276,7 +276,7 @@ def gc(
 
     Example: hardcase gc --delete
     """
-    from flows.upkeep import sweep
+    from flows.data.upkeep import sweep
 
     typer.echo(sweep(delete=delete, as_json=json))
 
@@ -290,7 +290,7 @@ def recover(
 
     Example: hardcase recover recordings
     """
-    from flows.upkeep import recover_recordings
+    from flows.data.upkeep import recover_recordings
 
     typer.echo(recover_recordings(folder, as_json=json))
 

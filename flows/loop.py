@@ -9,10 +9,23 @@ from prefect import flow, get_run_logger
 from prefect.artifacts import create_link_artifact, create_table_artifact
 from prefect.runtime import flow_run
 
-from flows.opening import FIRST_HELD_OUT_TWIN, open_order, order_of
-from flows.running import Running, Step, run_with, running
-from flows.steps_api import LoopSteps, StepResult
-from flows.tasks import augment, build, collect, deploy, exam, gate, harvest, judge, release, report, train, worth
+from flows.run.opening import FIRST_HELD_OUT_TWIN, open_order, order_of
+from flows.run.steps_api import LoopSteps, StepResult
+from flows.service.running import Running, Step, run_with, running
+from flows.service.tasks import (
+    augment,
+    build,
+    collect,
+    deploy,
+    exam,
+    gate,
+    harvest,
+    judge,
+    release,
+    report,
+    train,
+    worth,
+)
 from pipeline.store import store_root
 from schemas.summary import Generation
 

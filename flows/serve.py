@@ -15,7 +15,7 @@ from typing import Annotated
 
 import typer
 
-from flows.embedded_server import PR_SET_PDEATHSIG
+from flows.service.embedded_server import PR_SET_PDEATHSIG
 from pipeline.errors import HardcaseError
 from pipeline.store import store_root
 

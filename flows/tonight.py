@@ -5,10 +5,10 @@ from types import MappingProxyType
 
 from prefect import flow
 
-from flows import tasks
-from flows.estimate import night_steps
 from flows.loop import opened, scheduled_day, show
-from flows.opening import FIRST_HELD_OUT_TWIN
+from flows.run.opening import FIRST_HELD_OUT_TWIN
+from flows.service import tasks
+from flows.service.estimate import night_steps
 
 TASKS: Mapping[str, Callable[[int], tuple[str, ...]]] = MappingProxyType({
     "collect": tasks.collect, "deploy": tasks.deploy, "harvest": tasks.harvest, "augment": tasks.augment,

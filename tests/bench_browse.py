@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from flows.browse_making import Making
+from flows.browse.making import Making
 from pipeline.browsing.catalog import serving
 from pipeline.browsing.web import viewer_binary
 from pipeline.files import short_id

@@ -12,8 +12,8 @@ import time
 import numpy as np
 import pytest
 
-from flows.judging import restorable
-from flows.steps import open_run
+from flows.run.judging import restorable
+from flows.run.steps import open_run
 from pipeline.counterfactual.branches import branch
 from pipeline.counterfactual.judging import Named, judge
 from pipeline.counterfactual.moment import Lab, moment_of

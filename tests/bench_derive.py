@@ -9,8 +9,8 @@ from statistics import median
 import numpy as np
 import pytest
 
-from flows.deriving import Order, derive_version
-from flows.version_table import catalog_episodes, versions
+from flows.data.deriving import Order, derive_version
+from flows.data.version_table import catalog_episodes, versions
 from pipeline.footage import source_of
 from pipeline.frames import FEATURES, Frames
 from pipeline.store import Store

@@ -20,7 +20,7 @@ import pytest
 import zstandard
 from rosbags.highlevel import AnyReader
 
-from flows.ingesting import Ingest
+from flows.data.ingesting import Ingest
 from pipeline.logs.child import Children, Limits
 from pipeline.logs.convert import convert
 from pipeline.recording import cdr, records

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flows.memory import pss_mb
+from flows.service.memory import pss_mb
 from pipeline.policies.export import build
 from pipeline.policies.onnx_policy import OnnxPolicy
 from pipeline.policies.training import fit

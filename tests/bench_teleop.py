@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flows.teleop_devices import TeleopOrder, open_device, open_robot
-from flows.teleop_display import StatusLine
+from flows.teleop.devices import TeleopOrder, open_device, open_robot
+from flows.teleop.display import StatusLine
 from pipeline.robots.session import Controls, Session
 from stages.teleop import teleop
 

@@ -36,11 +36,11 @@ LATE = {"torch", "lerobot", "prefect", "mujoco", "rerun"}
 
 LIGHT = ("schemas/", "pipeline/store/", "pipeline/recording/", "flows/cli.py")
 TWIN_USERS = ("pipeline/twin/", "stages/deploy.py", "stages/harvest.py", "stages/exam.py", "stages/judge.py",
-              "flows/reporting.py", "flows/seeing.py", "flows/teleop_devices.py")
+              "flows/run/reporting.py", "flows/run/seeing.py", "flows/teleop/devices.py")
 TRAINING_SIDE = (
     *(f"stages/{stage}.py" for stage in ("collect", "augment", "build", "train", "gate", "nightly", "release",
                                   "estimate")),
-    "flows/learning.py", "flows/nights.py",
+    "flows/run/learning.py", "flows/run/nights.py",
 )
 PICKLES = {"pickle", "cPickle", "cloudpickle", "dill", "joblib", "shelve", "marshal"}
 
@@ -166,8 +166,8 @@ def test_the_training_side_does_not_reach_the_twin_through_others_either(start):
 
 
 def test_the_steps_bring_in_the_deployment_side_only_when_it_is_asked_for():
-    steps = imports(ROOT / "flows/steps.py", top_level=True)
-    early = {module for module in steps if module in ("flows.working", "flows.reporting")}
+    steps = imports(ROOT / "flows/run/steps.py", top_level=True)
+    early = {module for module in steps if module in ("flows.run.working", "flows.run.reporting")}
     assert not early, f"{early}: import it inside the method, or nothing trains where the hidden physics is missing"
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from flows.facts import EVERY_RECORDING, RECORDINGS_OF, ROOT, recording_code, software
+from flows.run.facts import EVERY_RECORDING, RECORDINGS_OF, ROOT, recording_code, software
 from pipeline.files import short_id
 from stages.build import READING
 
@@ -79,8 +79,8 @@ def reached(start: str) -> set[str]:
 @pytest.mark.parametrize("stage", RECORDINGS_OF)
 def test_the_list_names_what_a_recording_stage_really_uses(stage):
     used, listed = reached(f"stages/{stage}.py") - SPARED.keys(), {*EVERY_RECORDING, *RECORDINGS_OF[stage]}
-    assert used - listed == set(), "reached by the stage: list it in flows/facts.py, or spare it here with a reason"
-    assert listed - used == set(), "no longer reached: take it off the list in flows/facts.py"
+    assert used - listed == set(), "reached by the stage: list it in flows/run/facts.py, or spare it here with a reason"
+    assert listed - used == set(), "no longer reached: take it off the list in flows/run/facts.py"
 
 
 def test_a_version_hashes_what_reads_frames_and_nothing_else_that_lies_beside_it():

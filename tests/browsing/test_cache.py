@@ -2,7 +2,7 @@
 
 import pytest
 
-from flows.browse_making import Making
+from flows.browse.making import Making
 from pipeline.browsing.cache import Cache
 from pipeline.store.gc import collect, unreferenced
 from stages.forget import CACHES

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from flows.browse_making import Making
+from flows.browse.making import Making
 from pipeline.browsing.catalog import serving
 from pipeline.errors import ConfigError
 from pipeline.recording import read_episode

@@ -2,7 +2,7 @@
 
 import pytest
 
-from flows.browse_query import choose
+from flows.browse.query import choose
 from pipeline.errors import ConfigError, StoreError
 
 

@@ -5,7 +5,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from flows.counterfactual_study import Pair, calibration, draw
+from flows.studies.counterfactual import Pair, calibration, draw
 
 
 def pair(told: float, was: float, half: float = 0.03) -> Pair:

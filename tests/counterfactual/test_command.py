@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from flows.steps import open_run
+from flows.run.steps import open_run
 from pipeline.store import Store
 from schemas.counterfactual import JudgeConfig, ShadowReport
 from schemas.recipe import (

@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from flows.importing import ImportOrder, import_folder
+from flows.data.importing import ImportOrder, import_folder
 from pipeline.lerobot_view.filmed import clips_in
 from pipeline.lerobot_view.video import decoded
 from pipeline.store import Store

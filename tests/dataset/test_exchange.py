@@ -9,8 +9,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from flows.browse_making import Making
-from flows.browse_material import Showing
+from flows.browse.making import Making
+from flows.browse.material import Showing
 from pipeline.lerobot_view.foreign import read_foreign
 from pipeline.lerobot_view.manifest import load_version
 from pipeline.store import Store

@@ -13,7 +13,7 @@ import pytest
 import yaml
 from PIL import Image, ImageDraw
 
-from flows.consents import consents_now
+from flows.data.consents import consents_now
 from pipeline.errors import DatasetError, StoreError
 from pipeline.lerobot_view.filmed import clips_in
 from pipeline.lerobot_view.manifest import load_version

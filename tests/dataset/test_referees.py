@@ -11,8 +11,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from flows.exporting import export_version
-from flows.importing import ImportOrder, import_folder
+from flows.data.exporting import export_version
+from flows.data.importing import ImportOrder, import_folder
 from pipeline.recording import read_frames
 from pipeline.selftest.dataset_referees import DATASET_REFEREES, ask_about, unexpected
 from pipeline.store import Store

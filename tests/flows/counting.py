@@ -1,6 +1,7 @@
 """The command line over a loop whose stages only count, on a real store: run as a program by the tests beside it.
 
-It stands in for flows.steps and nothing else: flow, tasks, Prefect, store, display and exit codes are the real ones.
+It stands in for flows.run.steps and nothing else: flow, tasks, Prefect, store, display and exit codes are the real
+ones.
 Environment: COUNTING_LOG (a line for each begin and end), COUNTING_SLEEP_S, COUNTING_FAIL, COUNTING_CRASH ('train 1').
 """
 
@@ -11,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 
-from flows.steps_api import STAGES, StepResult
+from flows.run.steps_api import STAGES, StepResult
 from pipeline.errors import SimulationError
 from pipeline.files import short_id
 from pipeline.store import RunInfo, Store
@@ -118,8 +119,8 @@ def open_run(root, recipe, *, seed, twin, control):
 
 
 if __name__ == "__main__":
-    sys.modules["flows.steps"] = ModuleType("flows.steps")
-    sys.modules["flows.steps"].open_run = open_run
+    sys.modules["flows.run.steps"] = ModuleType("flows.run.steps")
+    sys.modules["flows.run.steps"].open_run = open_run
     from flows.cli import main
 
     main()

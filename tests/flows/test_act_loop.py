@@ -5,13 +5,13 @@ import hashlib
 import numpy as np
 import pytest
 
-from flows.by_hand import run_stage
-from flows.footage import filming
-from flows.forgetting import carried_out, planned
-from flows.opening import order_of, recall
-from flows.seeing import filmed
-from flows.steps import open_run
-from flows.study import turn
+from flows.commands.by_hand import run_stage
+from flows.data.forgetting import carried_out, planned
+from flows.run.footage import filming
+from flows.run.opening import order_of, recall
+from flows.run.seeing import filmed
+from flows.run.steps import open_run
+from flows.studies.study import turn
 from pipeline.errors import ConfigError, StoreError
 from pipeline.lerobot_view.samples import Samples
 from pipeline.policies.act_onnx import ActOnnx

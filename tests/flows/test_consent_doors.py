@@ -6,10 +6,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from flows import learning, working
-from flows.arm_run import ArmRun, run_id
-from flows.arms import LOOP
-from flows.facts import software
+from flows.run import learning, working
+from flows.run.arm_run import ArmRun, run_id
+from flows.run.arms import LOOP
+from flows.run.facts import software
 from pipeline.consent import Consents
 from pipeline.errors import ConsentError
 from pipeline.recording import read_attachments, read_episode, write_episode

@@ -5,9 +5,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from flows.display import Display, chart, duration, show_result, success_table, verdict_lines
-from flows.estimate import Clock, expected_s, plan
-from flows.steps_api import StepResult
+from flows.run.steps_api import StepResult
+from flows.service.display import Display, chart, duration, show_result, success_table, verdict_lines
+from flows.service.estimate import Clock, expected_s, plan
 from pipeline.recipes import load_recipe
 from schemas.summary import GateLine, Generation, LoopResult, Paired
 from schemas.verdict import Proportion, StratumResult, Verdict

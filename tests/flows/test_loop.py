@@ -6,7 +6,7 @@ import sqlite3
 
 import pytest
 
-from flows.estimate import plan
+from flows.service.estimate import plan
 from pipeline.recipes import load_recipe
 from schemas.summary import LoopResult
 

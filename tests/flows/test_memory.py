@@ -3,7 +3,7 @@ import sys
 import time
 from pathlib import Path
 
-from flows.memory import MemoryWatch, tree_pss_mb
+from flows.service.memory import MemoryWatch, tree_pss_mb
 
 
 def test_memory_of_a_child_and_of_its_child_counts():
@@ -35,8 +35,8 @@ def test_the_peak_stays_when_the_memory_is_given_back():
 
 
 def held_mb_around(work: str) -> tuple[float, float]:
-    """Memory of a fresh process before and after `work`, which may call what is in flows.memory."""
-    code = ("import os; from flows.memory import frugal, give_back, pss_mb\n"
+    """Memory of a fresh process before and after `work`, which may call what is in flows.service.memory."""
+    code = ("import os; from flows.service.memory import frugal, give_back, pss_mb\n"
             f"print(pss_mb(os.getpid()))\n{work}\nprint(pss_mb(os.getpid()))")
     told = subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).parents[2], check=True, text=True,
                           capture_output=True).stdout.split()

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from flows.estimate import night_steps
-from flows.night_by_hand import ledger, ledger_table, nightly_order, run_night
-from flows.nights import books
-from flows.opening import open_order
+from flows.run.night_by_hand import ledger, ledger_table, nightly_order, run_night
+from flows.run.nights import books
+from flows.run.opening import open_order
+from flows.service.estimate import night_steps
 from pipeline.errors import GateError
 from pipeline.store import Store
 from schemas.night import Account, Night

@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from flows.estimate import plan
+from flows.service.estimate import plan
 from pipeline.frames import FEATURES
 from pipeline.recipes import load_recipe
 from pipeline.recording import read_frames

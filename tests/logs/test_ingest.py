@@ -13,7 +13,7 @@ import pytest
 import yaml
 import zstandard
 
-from flows.ingesting import Ingest
+from flows.data.ingesting import Ingest
 from pipeline.files import sha256_file
 from pipeline.logs.cameras import Images
 from pipeline.logs.child import Limits

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from flows.ingest_display import ingest_all
+from flows.data.ingest_display import ingest_all
 from pipeline.logs.resample import only, pick, values
 from pipeline.logs.spool import Spool
 from pipeline.recording.pictures import jpeg

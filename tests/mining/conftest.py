@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flows.steps import Steps, open_run
-from flows.study import turn
+from flows.run.steps import Steps, open_run
+from flows.studies.study import turn
 from pipeline.recipes import load_recipe
 from pipeline.trace import Trace
 

@@ -7,9 +7,9 @@ from shutil import copytree
 import numpy as np
 import pytest
 
-from flows.mining_told import mined_lap
-from flows.regression import checked
-from flows.steps import open_run
+from flows.run.mining_told import mined_lap
+from flows.run.regression import checked
+from flows.run.steps import open_run
 from pipeline.errors import ConfigError
 from pipeline.mining.planted import PLANTED, fail
 from pipeline.recipes import load_recipe

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from flows.footage import footage_of, shown
+from flows.run.footage import footage_of, shown
 from pipeline.errors import DatasetError
 from pipeline.lerobot_view.filmed import clips_in
 from pipeline.lerobot_view.video import decoded

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from flows.teleop_devices import TeleopOrder, open_robot
+from flows.teleop.devices import TeleopOrder, open_robot
 from pipeline.store import Store
 from schemas.consent import Consent
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flows.teleop_devices import TeleopOrder, open_device
+from flows.teleop.devices import TeleopOrder, open_device
 from pipeline.errors import RobotError
 from pipeline.recording import read_episode
 from pipeline.robots.gamepad import AXES, BUTTONS, Gamepad

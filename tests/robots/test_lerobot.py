@@ -8,8 +8,8 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from flows.teleop_devices import TeleopOrder, open_device, open_robot
-from flows.teleoperation import run_teleop
+from flows.teleop.devices import TeleopOrder, open_device, open_robot
+from flows.teleop.teleoperation import run_teleop
 from pipeline.errors import ConfigError, RobotError
 from pipeline.frames import JOINTS
 from pipeline.recording import read_episode

@@ -6,10 +6,10 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from flows.by_hand import run_stage
-from flows.record import RecordOrder, run_record
-from flows.teleop_devices import TeleopOrder
-from flows.teleoperation import run_teleop
+from flows.commands.by_hand import run_stage
+from flows.teleop.devices import TeleopOrder
+from flows.teleop.record import RecordOrder, run_record
+from flows.teleop.teleoperation import run_teleop
 from pipeline.consent import Consents
 from pipeline.errors import ConsentError, HardcaseError
 from pipeline.lerobot_view.training_data import TrainingData

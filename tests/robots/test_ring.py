@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from flows.teleop_devices import TeleopOrder
-from flows.teleoperation import run_teleop
+from flows.teleop.devices import TeleopOrder
+from flows.teleop.teleoperation import run_teleop
 from pipeline.errors import ConfigError
 from pipeline.recording import read_episode
 from pipeline.store import Store

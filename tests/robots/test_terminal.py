@@ -12,8 +12,8 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from flows.teleop_devices import TeleopOrder
-from flows.teleoperation import run_teleop
+from flows.teleop.devices import TeleopOrder
+from flows.teleop.teleoperation import run_teleop
 from pipeline.errors import HardcaseError
 from pipeline.recording import read_attachments, read_episode
 from pipeline.robots.keyboard import AXES, BUTTONS

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from flows.selftest import run_selftest
+from flows.selftest.catching import run_selftest
 
 
 @pytest.fixture(scope="session")

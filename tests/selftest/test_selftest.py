@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from flows.selftest import exit_code, judge_with, run_selftest
-from flows.selftest_display import told
+from flows.selftest.catching import exit_code, judge_with, run_selftest
+from flows.selftest.display import told
 from pipeline.check.table import CHECKS
 from pipeline.errors import ConfigError
 from pipeline.selftest.dataset_referees import DATASET_REFEREES, news, unexpected

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flows.teleop_devices import TeleopOrder, open_robot
+from flows.teleop.devices import TeleopOrder, open_robot
 from pipeline.policies.onnx_policy import OnnxPolicy
 from pipeline.recording import read_episode
 from pipeline.recording.live import LiveRecorder

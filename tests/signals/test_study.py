@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from flows.shadow_attempts import SETTINGS, Attempt
-from flows.shadow_study import LENGTH, alarms, fitted, measured
-from flows.shadow_tables import tables
+from flows.studies.shadow import LENGTH, alarms, fitted, measured
+from flows.studies.shadow_attempts import SETTINGS, Attempt
+from flows.studies.shadow_tables import tables
 from pipeline.report.data import ReportData
 from pipeline.report.signals import signals
 from pipeline.signals.curves import curves

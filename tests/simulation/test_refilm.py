@@ -7,7 +7,7 @@ import pytest
 import simplejpeg
 from rosbags.highlevel import AnyReader
 
-from flows.film import film
+from flows.teleop.film import film
 from pipeline.errors import ConfigError, RecordingError, SimulationError
 from pipeline.recording import read_attachments, read_episode, write_episode
 from pipeline.recording.live import LiveRecorder

@@ -4,9 +4,9 @@ import json
 
 import pytest
 
-from flows.learning import released
-from flows.worth import indicated, judged_batch
-from flows.worth_door import held_back
+from flows.run.learning import released
+from flows.run.worth import indicated, judged_batch
+from flows.run.worth_door import held_back
 from pipeline.errors import GateError
 from schemas.worth import BatchWorth, WorthPart
 from stages.worth import batch_id

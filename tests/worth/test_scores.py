@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from flows.consents import consents_now
+from flows.data.consents import consents_now
 from pipeline.lerobot_view.training_data import TrainingData
 from pipeline.policies.influence import Influence, Tried, conjugate_gradient, shares_of
 from pipeline.policies.training import Fitted, fit

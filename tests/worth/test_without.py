@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from flows.consents import consents_now
-from flows.deriving import Order, derive_version
+from flows.data.consents import consents_now
+from flows.data.deriving import Order, derive_version
 from pipeline.errors import DatasetError
 from pipeline.lerobot_view.training_data import TrainingData
 from pipeline.policies.training import fit

@@ -1,0 +1,1 @@
+"""Browsing a store in Rerun."""

@@ -1,0 +1,1 @@
+"""The commands of `hardcase`, a file a group."""

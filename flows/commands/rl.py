@@ -1,0 +1,62 @@
+"""`hardcase rl`: parse, call, print; cli_recordings.py adds it to `hardcase`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+rl = typer.Typer(no_args_is_help=True)
+
+Threads = Annotated[int, typer.Option(min=1, max=64, help="Threads of the engine; results do not depend on them.")]
+
+
+@rl.callback()
+def about() -> None:
+    """Legged robots and PPO: train, and evaluate beside zero and random actions.
+
+    Example: hardcase rl train --body biped --task stand
+    """
+
+
+@rl.command()
+def train(
+    body: Annotated[str, typer.Option(help="biped, unitree_h1, unitree_g1, or the path of an MJCF or URDF.")] = "biped",
+    task: Annotated[str, typer.Option(help="stand, walk, or the path of a YAML file.")] = "stand",
+    seed: Annotated[int, typer.Option(min=0, help="Of starts, weights and draws.")] = 0,
+    stratum: Annotated[str | None, typer.Option(help="Kind of start. [default: the task's first]")] = None,
+    steps: Annotated[int | None, typer.Option(min=1, help="Environment steps. [default: the task's]")] = None,
+    learning_rate: Annotated[float | None, typer.Option(help="Of Adam at the start. [default: the task's]")] = None,
+    attempts: Annotated[int | None, typer.Option(min=1, help="Attempts side by side. [default: the task's]")] = None,
+    threads: Threads = 1,
+    out: Annotated[Path | None, typer.Option(help="Folder. [default: rl/BODY-TASK-SEED in the store]")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on from the last checkpoint, to the same bits.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON for machines.")] = False,
+) -> None:
+    """Train a legged robot by PPO; leaves checkpoints, policy.onnx, and training.json with every curve.
+
+    Example: hardcase rl train --body biped --task stand --seed 0
+    """
+    from flows.rl.order import order_of
+    from flows.rl.training import folder_of, run_train
+
+    order = order_of(body, task, seed, stratum=stratum,
+                     given={"steps": steps, "learning_rate": learning_rate, "attempts": attempts})
+    typer.echo(run_train(order, out or folder_of(order), threads=threads, resume=resume, as_json=json))
+
+
+@rl.command()
+def evaluate(
+    policy: Annotated[Path, typer.Argument(help="policy.onnx, or the folder of a training.")],
+    attempts: Annotated[int, typer.Option(min=1, help="Starts, each played once to its end.")] = 300,
+    seed: Annotated[int, typer.Option(min=0, help="Of the starts, which no training meets.")] = 0,
+    stratum: Annotated[str | None, typer.Option(help="Kind of start. [default: the training's]")] = None,
+    threads: Threads = 1,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON for machines.")] = False,
+) -> None:
+    """Evaluate a policy beside zero and random actions, on the same starts.
+
+    Example: hardcase rl evaluate datasets/store/rl/biped-stand-0 --attempts 300
+    """
+    from flows.rl.training import run_evaluate
+
+    typer.echo(run_evaluate(policy, attempts=attempts, seed=seed, stratum=stratum, threads=threads, as_json=json))

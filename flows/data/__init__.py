@@ -1,0 +1,1 @@
+"""What people do with recordings and dataset versions."""

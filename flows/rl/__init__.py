@@ -1,0 +1,1 @@
+"""Training and judging legged robots from the command line."""

@@ -1,0 +1,1 @@
+"""One run: its stages, wired to the store."""

@@ -1,0 +1,1 @@
+"""The selftest: planted faults, and who sees them."""

@@ -1,0 +1,1 @@
+"""The loop under Prefect: tasks, display, servers and memory."""

@@ -1,0 +1,1 @@
+"""Studies: what stands in docs/results.md, a command each."""

@@ -1,0 +1,1 @@
+"""Driving, recording and filming robots by hand."""
