@@ -5,16 +5,13 @@
 # pyright: reportPrivateUsage=false, reportUnknownParameterType=false
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Self, override
+from typing import Self, override
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
-from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
-from torch import nn
 
 from pipeline.errors import PolicyError
 from pipeline.locomotion.attempts import Attempts
@@ -22,9 +19,10 @@ from pipeline.locomotion.bodies import load_legged
 from pipeline.policies.resuming import newest
 from pipeline.ppo import checkpoint
 from pipeline.ppo.checkpoint import Saved
-from pipeline.ppo.config import Order, PpoConfig
+from pipeline.ppo.config import Order
 from pipeline.ppo.curves import Point
 from pipeline.ppo.export import build, write_policy
+from pipeline.ppo.model import model_state, ppo_model, restore_model
 from pipeline.ppo.vec_env import AttemptsVecEnv
 
 type Progress = Callable[[Point, int], None]
@@ -53,7 +51,7 @@ class Training:
         attempts = Attempts(load_legged(order.body), order.task, order.ppo.attempts, seed=order.seed,
                             stratum=order.stratum, threads=threads)
         self.env = AttemptsVecEnv(attempts, order.ppo.reward_scale)
-        self.model = _model(self.env, order.ppo, order.seed)
+        self.model = ppo_model(self.env, order.ppo, order.seed)
         self.curve: list[Point] = []
         self.cpu_s = self.wall_s = 0.0
         """Time spent so far, in this process and in those before it [s]."""
@@ -126,43 +124,19 @@ class Training:
 
     def save(self) -> Path:
         """Leave a checkpoint of this moment, which must lie between an update and the next collection."""
-        model = self.model
-        optimiser: dict[str, Any] = model.policy.optimizer.state_dict()
-        name, keys, position, has_gauss, gauss = np.random.get_state(legacy=True)  # noqa: NPY002
-        facts = {"steps": model.num_timesteps, "updates": model._n_updates, "episodes": model._episode_num,
-                 "progress_left": model._current_progress_remaining, "curve": self.curve,
-                 "optimiser_groups": optimiser["param_groups"],
-                 "numpy": [name, int(position), int(has_gauss), float(gauss)],
-                 "cpu_s": self.cpu_s, "wall_s": self.wall_s, "order": self.order.model_dump(mode="json")}
-        assert model._last_obs is not None and model._last_episode_starts is not None
-        arrays: dict[str, dict[str, NDArray[Any]]] = {
-            "weights": {k: v.detach().numpy().copy() for k, v in model.policy.state_dict().items()},
-            "optimiser": {f"{i}/{k}": v.numpy().copy() for i, one in optimiser["state"].items()
-                          for k, v in one.items()},
-            "normaliser": self.env.normaliser.save(),
-            "attempts": self.env.attempts.save(),
-            "generators": {"torch": torch.get_rng_state().numpy().copy(), "numpy": np.asarray(keys)},
-            "last": {"observation": np.asarray(model._last_obs), "starts": np.asarray(model._last_episode_starts)}}
+        facts, arrays = model_state(self.model)
+        facts |= {"curve": self.curve, "cpu_s": self.cpu_s, "wall_s": self.wall_s,
+                  "order": self.order.model_dump(mode="json")}
+        arrays |= {"normaliser": self.env.normaliser.save(), "attempts": self.env.attempts.save()}
         return checkpoint.save(self.folder, self.order.id, self.steps, Saved(facts, arrays))
 
     def _load(self, saved: Saved, path: Path) -> None:
-        model, facts, arrays = self.model, saved.facts, saved.arrays
+        facts, arrays = saved.facts, saved.arrays
         try:
-            model.policy.load_state_dict({k: torch.from_numpy(v.copy()) for k, v in arrays["weights"].items()})
-            state: dict[int, dict[str, torch.Tensor]] = {}
-            for key, values in arrays.get("optimiser", {}).items():
-                number, name = key.split("/")
-                state.setdefault(int(number), {})[name] = torch.from_numpy(values.copy())
-            model.policy.optimizer.load_state_dict({"state": state, "param_groups": facts["optimiser_groups"]})
             self.env.normaliser.load(arrays["normaliser"])
             self.env.attempts.load(arrays["attempts"])
-            model._last_obs, model._last_episode_starts = arrays["last"]["observation"], arrays["last"]["starts"]
-            model.num_timesteps, model._n_updates = facts["steps"], facts["updates"]
-            model._episode_num, model._current_progress_remaining = facts["episodes"], facts["progress_left"]
+            restore_model(self.model, facts, arrays)
             self.curve, self.cpu_s, self.wall_s = facts["curve"], facts["cpu_s"], facts["wall_s"]
-            torch.set_rng_state(torch.from_numpy(arrays["generators"]["torch"].copy()))
-            name, position, has_gauss, gauss = facts["numpy"]
-            np.random.set_state((name, arrays["generators"]["numpy"], position, has_gauss, gauss))  # noqa: NPY002
         except (KeyError, ValueError, RuntimeError, TypeError) as error:
             raise PolicyError(f"checkpoint lacks what a training needs: {error}", where=path,
                               mend=checkpoint.AGAIN) from error
@@ -196,16 +170,3 @@ class _Watch(BaseCallback):
         point = training.point()
         if self._progress is not None:
             self._progress(point, training.order.ppo.steps)
-
-
-def _model(env: AttemptsVecEnv, config: PpoConfig, seed: int) -> PPO:
-    def rate(left: float) -> float:
-        return config.learning_rate * (config.last_rate + (1 - config.last_rate) * left)
-
-    network: Mapping[str, Any] = {"net_arch": list(config.hidden), "activation_fn": nn.ELU,
-                                  "log_std_init": config.log_std}
-    return PPO("MlpPolicy", env, learning_rate=rate, n_steps=config.ticks,
-               batch_size=min(config.batch, config.iteration), n_epochs=config.epochs,
-               gamma=config.gamma, gae_lambda=config.gae_lambda, clip_range=config.clip, ent_coef=config.entropy,
-               vf_coef=config.value, max_grad_norm=config.gradient, policy_kwargs=dict(network), seed=seed,
-               device="cpu")

@@ -1,4 +1,4 @@
-"""AttemptsVecEnv: Attempts as the vector environment that SB3 trains on, normalised and counted."""
+"""Vector environments of ours for SB3: what many episodes in one engine share, and AttemptsVecEnv."""
 
 # SB3's base class is only partly typed
 # pyright: reportUnknownMemberType=false, reportUnknownParameterType=false, reportMissingParameterType=false
@@ -20,7 +20,34 @@ from pipeline.protocols import Array
 type Indices = int | Iterable[int] | None
 
 
-class AttemptsVecEnv(VecEnv):
+class EngineVecEnv(VecEnv):
+    """Episodes that share one engine: SB3 may ask none of them on its own."""
+
+    @override
+    def close(self) -> None:
+        pass
+
+    @override
+    def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
+        return [getattr(self, attr_name, None)] * len(self._which(indices))
+
+    @override
+    def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
+        raise AttributeError(f"attempts share one engine; {attr_name} is not set one by one")
+
+    @override
+    def env_method(self, method_name: str, *args: Any, indices: Indices = None, **kwargs: Any) -> list[Any]:
+        raise AttributeError(f"attempts share one engine; {method_name} is not called one by one")
+
+    @override
+    def env_is_wrapped(self, wrapper_class: type, indices: Indices = None) -> list[bool]:
+        return [False] * len(self._which(indices))
+
+    def _which(self, indices: Indices) -> Sequence[int]:
+        return list(self._get_indices(indices))
+
+
+class AttemptsVecEnv(EngineVecEnv):
     """n attempts that begin anew by themselves; time's up is told apart from a fall, as SB3 asks.
 
     Args:
@@ -55,26 +82,3 @@ class AttemptsVecEnv(VecEnv):
     def _seen(self, rows: NDArray[np.float32]) -> NDArray[np.float32]:
         self.normaliser.update(rows)
         return self.normaliser(rows)
-
-    @override
-    def close(self) -> None:
-        pass
-
-    @override
-    def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        return [getattr(self, attr_name, None)] * len(self._which(indices))
-
-    @override
-    def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        raise AttributeError(f"attempts share one engine; {attr_name} is not set one by one")
-
-    @override
-    def env_method(self, method_name: str, *args: Any, indices: Indices = None, **kwargs: Any) -> list[Any]:
-        raise AttributeError(f"attempts share one engine; {method_name} is not called one by one")
-
-    @override
-    def env_is_wrapped(self, wrapper_class: type, indices: Indices = None) -> list[bool]:
-        return [False] * len(self._which(indices))
-
-    def _which(self, indices: Indices) -> Sequence[int]:
-        return list(self._get_indices(indices))
