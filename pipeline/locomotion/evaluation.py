@@ -17,6 +17,8 @@ type Act = Callable[[NDArray[np.float32]], Array]
 
 EVALUATION = 0x6576616C
 """Word that keeps the seeds of these starts apart from those of training."""
+SETTLED_S, OFF_M_S = 2.0, 0.1
+"""A robot follows its command if, from the first time on, its mean speed forward is not further off than the second."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +33,15 @@ class Evaluated:
     """Reward term -> its weighted mean a tick, over ticks before a fall."""
     error: float
     """Mean distance between the asked and the true speed over ground, over ticks before a fall [m/s]."""
+    asked: Array
+    """Speed that each was asked for: forward, left [m/s], turning [rad/s]; shape (n, 3)."""
+    mean: Array
+    """Mean speed of each in its own heading, as `asked`, from SETTLED_S to its end; NaN where it fell before."""
+
+    @property
+    def follows(self) -> NDArray[np.bool_]:
+        """Which reached their end at the speed forward that they were asked for, shape (n,): to walk is both."""
+        return self.full & (np.abs(self.mean[:, 0] - self.asked[:, 0]) <= OFF_M_S)
 
 
 def evaluation_seed(seed: int, k: int) -> int:
@@ -46,7 +57,8 @@ def evaluate(act: Act, body: LeggedBody, task: LeggedTask, *, n: int = 200, seed
     world.restart(np.arange(n), [draw_start(task, body, kind, evaluation_seed(seed, k)) for k in range(n)])
     alive, length = np.ones(n, bool), np.zeros(n, np.int64)
     sums, error = dict.fromkeys(task.weights, 0.0), 0.0
-    for _ in range(task.ticks):
+    settled, covered = round(SETTLED_S * task.control_hz), np.zeros((n, 3))
+    for tick in range(task.ticks):
         world.act(act(world.observe()))
         now = world.motion()
         alive &= ~world.fallen(now)
@@ -54,10 +66,14 @@ def evaluate(act: Act, body: LeggedBody, task: LeggedTask, *, n: int = 200, seed
         for name, values in world.rewards(now).items():
             sums[name] += float(values[alive].sum())
         error += float(np.linalg.norm(now.velocity[:, :2] - now.command[:, :2], axis=1)[alive].sum())
+        if tick >= settled:
+            covered[alive] += now.velocity[alive]
         if not alive.any():
             break
-    ticks = max(1, int(length.sum()))
-    return Evaluated(alive, length, {name: total / ticks for name, total in sums.items()}, error / ticks)
+    ticks, counted = max(1, int(length.sum())), np.maximum(length - settled, 0)[:, None]
+    mean = np.divide(covered, counted, out=np.full((n, 3), np.nan), where=counted > 0)
+    return Evaluated(alive, length, {name: total / ticks for name, total in sums.items()}, error / ticks,
+                     world.command.copy(), mean)
 
 
 def zero_action(joints: int) -> Act:

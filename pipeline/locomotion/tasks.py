@@ -54,6 +54,21 @@ class LeggedTask(Frozen):
         """Length of a full attempt [ticks]."""
         return round(self.seconds * self.control_hz)
 
+    def asking(self, forward_m_s: float, left_m_s: float = 0.0, turning_rad_s: float = 0.0) -> Self:
+        """The same task with one command for every attempt; the starts stay what they are."""
+        speeds = (forward_m_s, left_m_s, turning_rad_s)
+        return self.model_copy(update={"command": tuple((v, v) for v in speeds)})
+
+    @property
+    def common(self) -> tuple[str, ...]:
+        """Kinds of start that are not rare."""
+        return tuple(n for n, s in self.starts.items() if s.rare_share == 0)
+
+    @property
+    def rare(self) -> dict[str, float]:
+        """Rare kinds and their shares among the rare starts."""
+        return {n: s.rare_share for n, s in self.starts.items() if s.rare_share > 0}
+
     @model_validator(mode="after")
     def few_known_terms(self) -> Self:
         """At most five terms, each of them known and of a finite weight."""
