@@ -15,6 +15,11 @@ from schemas.base import Frozen
 MOST_TERMS = 5
 
 
+def _common(share: object) -> bool:
+    """Kinds of start that are not rare say nothing of it: trainings begun before there were any are found again."""
+    return share == 0
+
+
 class Starts(Frozen):
     """One kind of start; every range is drawn evenly, on both sides where it is a limit."""
 
@@ -23,7 +28,8 @@ class Starts(Frozen):
     joint_rad: float = Field(default=0.0, ge=0, description="largest deviation of a joint from its posture")
     speed_m_s: float = Field(default=0.0, ge=0, description="largest speed of the base over ground, in any direction")
     turn_rad_s: float = Field(default=0.0, ge=0, description="largest turning speed of the base about each axis")
-    rare_share: float = Field(default=0.0, ge=0, le=1, description="share of the rare starts; 0 for a common kind")
+    rare_share: float = Field(default=0.0, ge=0, le=1, exclude_if=_common,
+                              description="share of the rare starts; 0 for a common kind")
 
 
 class Pushes(Frozen):
