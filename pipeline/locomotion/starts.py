@@ -1,12 +1,13 @@
 """Starts: how one attempt of a legged robot begins and what will push it, drawn from a seed alone."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pipeline.errors import unknown
 from pipeline.protocols import Array
+from schemas.legged import LeggedStart
 
 if TYPE_CHECKING:
     from pipeline.locomotion.body import LeggedBody
@@ -32,6 +33,23 @@ class Start:
     """Speed asked for: forward, left [m/s], turning [rad/s]."""
     blows: Array
     """Tick, and change of speed over ground [m/s]; shape (k, 3)."""
+    rates: Array | None = None
+    """Speeds of the joints [rad/s]; all 0 where None."""
+
+
+def as_data(start: Start) -> LeggedStart:
+    """The same start as plain data; numbers stay what they are to the last bit."""
+    return LeggedStart.model_validate({
+        "height_m": start.height_m, "quaternion": start.quaternion.tolist(), "velocity": start.velocity.tolist(),
+        "bend": start.bend.tolist(), "rates": [] if start.rates is None else start.rates.tolist(),
+        "command": start.command.tolist(), "blows": start.blows.tolist()})
+
+
+def from_data(data: LeggedStart) -> Start:
+    """What `as_data` was given."""
+    return Start(data.height_m, np.array(data.quaternion), np.array(data.velocity), np.array(data.bend),
+                 np.array(data.command), np.array(data.blows).reshape(-1, 3),
+                 np.array(data.rates) if data.rates else None)
 
 
 def draw_start(task: "LeggedTask", body: "LeggedBody", stratum: str, seed: int) -> Start:
@@ -48,6 +66,11 @@ def draw_start(task: "LeggedTask", body: "LeggedBody", stratum: str, seed: int) 
     velocity = np.array([speed * np.cos(way), speed * np.sin(way), 0.0, *kind.turn_rad_s * rng.uniform(-1, 1, 3)])
     command = np.array([rng.uniform(*limits) for limits in task.command])
     return Start(_height(body, bend), quaternion, velocity, bend, command, _blows(task, rng))
+
+
+def pushed(start: Start, task: "LeggedTask", seed: int) -> Start:
+    """The same beginning with other blows, those that this seed gives: nobody senses what blows will come."""
+    return replace(start, blows=_blows(task, np.random.default_rng([seed, 62])))
 
 
 def _height(body: "LeggedBody", bend: Array) -> float:

@@ -96,6 +96,8 @@ class LeggedWorld:
         self._blows[ids] = np.inf
         for i, start in zip(ids, starts, strict=True):
             self._blows[i, :len(start.blows)] = start.blows
+            if start.rates is not None:
+                self._qvel[i, self._v] = start.rates
         self._next_blow[ids] = 0
 
     def act(self, action: Array) -> None:

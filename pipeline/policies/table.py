@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol
 
 from pipeline.consent import Consents
-from pipeline.errors import unknown
+from pipeline.errors import ConfigError, unknown
 from pipeline.policies.source import TrainingSource
 from pipeline.protocols import Policy
 from schemas.recipe import TrainConfig
@@ -117,6 +117,18 @@ def _open_act(path: Path) -> Policy:
     return ActOnnx(path)
 
 
+def _not_from_a_version(*args: Any, **kwargs: Any) -> Any:
+    del args, kwargs
+    raise ConfigError("policy ppo does not learn from a dataset version: it learns by trying", where="policy ppo",
+                      mend="hardcase rl train --body BODY --task TASK")
+
+
+def _open_ppo(path: Path) -> Policy:
+    from pipeline.ppo.policy import LeggedPolicy
+
+    return LeggedPolicy(path)
+
+
 POLICIES: Mapping[str, PolicyKind] = MappingProxyType({
     "chunked": PolicyKind(_load, _fit, _write, _export, _open, (
         "frames.py", "lerobot_view/training_data.py", "policies/checkpoint.py", "policies/course.py",
@@ -128,6 +140,10 @@ POLICIES: Mapping[str, PolicyKind] = MappingProxyType({
         "policies/act_checkpoint.py", "policies/act_export.py", "policies/act_net.py", "policies/act_training.py",
         "policies/course.py", "policies/ensembling.py", "policies/export.py", "policies/network.py",
         "policies/optimiser.py", "policies/training.py"), sees=True),
+    "ppo": PolicyKind(_not_from_a_version, _not_from_a_version, _not_from_a_version, _not_from_a_version, _open_ppo, (
+        "locomotion/attempts.py", "locomotion/rewards.py", "locomotion/starts.py", "locomotion/tasks.py",
+        "locomotion/world.py", "ppo/config.py", "ppo/export.py", "ppo/model.py", "ppo/normaliser.py",
+        "ppo/training.py", "ppo/vec_env.py")),
 })
 
 

@@ -1,5 +1,6 @@
 """Tasks: where attempts start, when they have succeeded, and what is rewarded."""
 
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
 import numpy as np
@@ -105,10 +106,16 @@ def sample_scene(task: str, family: SceneFamily, seed: int, stratum: str, *, rob
 def mixed_strata(task: str, n: int, rare_share: float, rng: np.random.Generator) -> list[str]:
     """Strata of n starts in random order: exactly the rounded share is rare, split by the strata's own shares."""
     config = load_task(task)
-    rare = round(n * rare_share)
+    return mixed(config.common, config.rare, n, rare_share, rng)
+
+
+def mixed(common: Sequence[str], rares: Mapping[str, float], n: int, rare_share: float,
+          rng: np.random.Generator) -> list[str]:
+    """As `mixed_strata`, for strata and shares of any task; all are common where there are no rare ones."""
+    rare = round(n * rare_share) if rares else 0
     names: list[str] = []
-    for name, share in config.rare.items():
+    for name, share in rares.items():
         names += [name] * round(rare * share)
-    names = (names + [next(iter(config.rare))] * rare)[:rare]
-    names += [config.common[i % len(config.common)] for i in range(n - rare)]
+    names = (names + [*rares][:1] * rare)[:rare]
+    names += [common[i % len(common)] for i in range(n - rare)]
     return [names[i] for i in rng.permutation(n)]
