@@ -78,6 +78,17 @@ def nights(
 
 
 @measure.command()
+def tonight(seeds: Seeds = 8, recipe: RecipeName = "default", json: Json = None) -> None:
+    """The nightly gate on the policies of finished loops, both ways round, beside what the exam says. 15 minutes.
+
+    Example: hardcase measure tonight --seeds 8 --json tonight.json
+    """
+    from flows.studies.tonight import run_tonight_study
+
+    run_tonight_study(seeds=seeds, recipe=recipe, json=json)
+
+
+@measure.command()
 def faces(
     threshold: Annotated[float, typer.Option(min=0.05, max=0.9, help="Score from which a find counts.")] = 0.2,
     json: Json = None,
