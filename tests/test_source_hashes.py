@@ -24,6 +24,7 @@ SPARED = {
     "schemas/counterfactual.py": "what was judged is no part of a recording; its thresholds stand in config.json",
     "schemas/episode.py": "the metadata holds the whole episode: a new field shows by itself",
     "schemas/hardcase.py": "is not part of a recording",
+    "schemas/legged.py": "the metadata holds the whole scene, and with it the start",
     "schemas/recipe.py": "thresholds in force are attached as config.json",
     "schemas/scene.py": "the metadata holds the whole scene",
     "schemas/verdict.py": "proportions are no part of a recording",
