@@ -111,15 +111,18 @@ class GymnasiumWorld:
         """How many values an observation has: all but how far the body has come."""
         return int(self.model.nq + self.model.nv - 1)
 
-    def begin(self, seeds: Sequence[int]) -> Array:
-        """Every episode anew, as `reset(seed=...)`; returns the observations.
+    def begin(self, seeds: Sequence[int] | None = None) -> Array:
+        """Every episode anew, as `reset(seed=...)`, or with their generators as they stand; returns the observations.
 
         Raises:
-            ConfigError: another number of seeds than of episodes.
+            ConfigError: another number of seeds than of episodes, or none where there is no generator yet.
         """
-        if len(seeds) != self.n:
-            raise ConfigError(f"{len(seeds)} seeds for {self.n} episodes", where="begin", mend="give one seed for each")
-        self.rngs = [seeding.np_random(int(seed))[0] for seed in seeds]
+        seeds = () if seeds is None and not self.rngs else seeds
+        if seeds is not None:
+            if len(seeds) != self.n:
+                raise ConfigError(f"{len(seeds)} seeds for {self.n} episodes", where="begin",
+                                  mend="give one seed for each: begin([0, 1, ...])")
+            self.rngs = [seeding.np_random(int(seed))[0] for seed in seeds]
         self._restart(self._all)
         return self.observe()
 
@@ -133,7 +136,7 @@ class GymnasiumWorld:
             raise SimulationError(f"actions of shape {action.shape}, {self.name} takes {self._ctrl.shape}",
                                   where="step", mend="send one row for each episode, one value for each motor")
         if not self.rngs:
-            raise SimulationError("no episode has begun", where="step", mend="call begin(seeds) first")
+            raise SimulationError("no episode has begun", where="step", mend="call begin([0, 1, ...]) first")
         task, before = self.task, self.qpos[:, 0].copy()
         self._ctrl[:] = action
         self.batch.step(nstep=task.substeps)
