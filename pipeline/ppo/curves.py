@@ -1,8 +1,16 @@
 """Curves of a training: what an iteration brought, one point an iteration, each reward term on its own."""
 
-from typing import TypedDict
+from collections.abc import Mapping
+from math import isfinite
+from types import MappingProxyType
+from typing import Any, NotRequired, TypedDict
 
 from pipeline.locomotion.attempts import Tick
+
+UPDATE: Mapping[str, str] = MappingProxyType({
+    "entropy": "train/entropy_loss", "kl": "train/approx_kl", "clipped": "train/clip_fraction",
+    "explained": "train/explained_variance", "value_loss": "train/value_loss"})
+"""Figure of an update -> SB3's name of it; SB3 has the entropy with the opposite sign."""
 
 
 class Point(TypedDict):
@@ -22,6 +30,10 @@ class Point(TypedDict):
     """Mean length of the attempts that ended [ticks]."""
     std: float
     """Mean standard deviation of the actions."""
+    update: NotRequired[dict[str, float]]
+    """Of the update that this iteration's samples gave: entropy of the actions [nat], KL divergence from the policy
+    before it [nat], share of samples beyond the clip, share of the returns' variance that the critic explains, the
+    critic's loss."""
 
 
 class Tally:
@@ -50,3 +62,9 @@ class Tally:
                       length=self._ticks / ended if ended else None, std=std)
         self._begin()
         return point
+
+
+def update_figures(logged: Mapping[str, Any]) -> dict[str, float]:
+    """What PPO says of its last update, out of SB3's log; what is missing or not finite is left out."""
+    found = {name: float(logged[key]) for name, key in UPDATE.items() if key in logged and isfinite(float(logged[key]))}
+    return found | {"entropy": -found["entropy"]} if "entropy" in found else found

@@ -20,7 +20,7 @@ from pipeline.policies.resuming import newest
 from pipeline.ppo import checkpoint
 from pipeline.ppo.checkpoint import Saved
 from pipeline.ppo.config import Order
-from pipeline.ppo.curves import Point
+from pipeline.ppo.curves import Point, update_figures
 from pipeline.ppo.export import build, write_policy
 from pipeline.ppo.model import model_state, ppo_model, restore_model
 from pipeline.ppo.vec_env import AttemptsVecEnv
@@ -88,6 +88,7 @@ class Training:
                 raise
             raise PolicyError("training diverged", where=f"{self.steps} steps",
                               mend="train with a lower learning rate: --learning-rate 3e-4") from error
+        self.note_update()
         self.save()
         return self
 
@@ -121,6 +122,11 @@ class Training:
         std = float(self.model.policy.log_std.detach().exp().mean())
         self.curve.append(self.env.tally.take(self.steps, std))
         return self.curve[-1]
+
+    def note_update(self) -> None:
+        """Add to the newest point what PPO says of the update that it led to."""
+        if self.curve and (found := update_figures(self.model.logger.name_to_value)):
+            self.curve[-1]["update"] = found
 
     def save(self) -> Path:
         """Leave a checkpoint of this moment, which must lie between an update and the next collection."""
@@ -157,6 +163,7 @@ class _Watch(BaseCallback):
 
     @override
     def _on_rollout_start(self) -> None:
+        self._training.note_update()
         if self._iterations and self._iterations % self._every == 0:
             self._training.save()
 

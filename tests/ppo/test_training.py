@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from pipeline.ppo.curves import UPDATE
 from pipeline.ppo.normaliser import Normaliser
 from pipeline.ppo.training import Training
 
@@ -13,6 +14,14 @@ def test_every_reward_term_has_a_curve_of_its_own(order, straight):
         assert list(point["terms"]) == list(order.task.weights)
         assert point["reward"] == pytest.approx(sum(point["terms"].values()))
         assert point["terms"]["effort"] < 0 < point["terms"]["upright"]
+
+
+def test_every_iteration_says_what_its_update_did_the_last_one_too(straight):
+    for point in straight.curve:
+        assert {"entropy", "kl", "clipped", "value_loss"} <= set(point["update"]) <= {*UPDATE}
+        assert np.isfinite(list(point["update"].values())).all()
+        gauss = 10 * (0.5 * np.log(2 * np.pi * np.e) + np.log(point["std"]))  # ten joints, nearly of one spread
+        assert point["update"]["entropy"] == pytest.approx(gauss, abs=0.1)
 
 
 def test_a_robot_that_is_paid_for_sparing_its_motors_comes_to_spare_them(order, tmp_path):
