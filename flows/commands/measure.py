@@ -192,3 +192,19 @@ def stand(
     from flows.studies.stand import run_stand_study
 
     run_stand_study(seeds=seeds, body=body, json=json)
+
+
+@measure.command()
+def reference(
+    seeds: Annotated[int, typer.Option(min=1, help="Trainings of each task through each vector environment.")] = 3,
+    steps: Annotated[int, typer.Option(min=1, help="Environment steps of each training.")] = 1_000_000,
+    train: Annotated[bool, typer.Option(help="Train what is not finished; or only tell of what is.")] = True,
+    json: Json = None,
+) -> None:
+    """Gymnasium's Hopper and HalfCheetah with published numbers, through ours and DummyVecEnv. 4 CPU hours, resumes.
+
+    Example: hardcase measure reference --seeds 3 --json reference.json
+    """
+    from flows.studies.reference import run_reference_study
+
+    run_reference_study(seeds=seeds, steps=steps, train=train, json=json)

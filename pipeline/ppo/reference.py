@@ -9,16 +9,18 @@ from pipeline.files import short_id
 from pipeline.ppo.config import PpoConfig
 from schemas.base import Frozen
 
+type Task = Literal["Hopper-v5", "HalfCheetah-v5"]
+"""A key of GYMNASIUM_TASKS."""
 type Arm = Literal["ours", "dummy"]
 """Whose vector environment: ours on one Batch, or SB3's DummyVecEnv over Gymnasium's own environments."""
 
-PUBLISHED: MappingProxyType[str, float] = MappingProxyType({"Hopper-v5": 2410.435, "HalfCheetah-v5": 5819.099})
+PUBLISHED: MappingProxyType[Task, float] = MappingProxyType({"Hopper-v5": 2410.435, "HalfCheetah-v5": 5819.099})
 """Mean return of the Zoo's trained agent, one run each of 150 deterministic episodes, on the v3 environments.
 
 Source: DLR-RM/rl-baselines3-zoo, benchmark.md.
 """
 
-ZOO: MappingProxyType[str, PpoConfig] = MappingProxyType({
+ZOO: MappingProxyType[Task, PpoConfig] = MappingProxyType({
     "Hopper-v5": PpoConfig(
         steps=1_000_000, attempts=1, ticks=512, batch=32, epochs=5, learning_rate=9.80828e-05, last_rate=1, gamma=0.999,
         gae_lambda=0.99, clip=0.2, entropy=0.00229519, value=0.835671, gradient=0.7, reward_scale=1,
@@ -36,7 +38,7 @@ Source: DLR-RM/rl-baselines3-zoo, hyperparams/ppo.yml, commit 208b6fd, entries H
 class ReferenceOrder(Frozen):
     """One training of the reference: the same order gives the same weights."""
 
-    task: Literal["Hopper-v5", "HalfCheetah-v5"]
+    task: Task
     arm: Arm = Field(description="whose vector environment")
     ppo: PpoConfig
     seed: int = Field(ge=0)
