@@ -1,18 +1,13 @@
 """The shadow report as a page: who was right, what a promotion would change, and every disagreement that was judged."""
 
-import base64
-import hashlib
-from pathlib import Path
-
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from pipeline.report import text
 from pipeline.report.charts import Axis, Line, scatter_chart, stacked_bars
+from pipeline.report.rendering import render
 from pipeline.report.text import points
 from schemas.counterfactual import Change, Judgement, Right, ShadowReport
 
-HERE = Path(__file__).parent
 ORDER: tuple[Right, ...] = ("both", "champion", "candidate", "neither")
 TITLES = {"promote": "The candidate would do better", "roll back": "The former champion would do better",
           "hold": "Not shown to be better"}
@@ -22,16 +17,9 @@ HZ = 20.0
 
 def shadow_page(report: ShadowReport) -> str:
     """HTML with its style and charts inside; every text in it is escaped and nothing is loaded from anywhere."""
-    environment = Environment(loader=FileSystemLoader(HERE), autoescape=True, undefined=StrictUndefined,
-                              trim_blocks=True, lstrip_blocks=True)
-    environment.filters |= {"percent": text.percent, "interval": text.interval, "words": text.words,  # pyright: ignore[reportUnknownMemberType]
-                            "number": text.number, "change": change}
-    style = (HERE / "style.css").read_text("utf-8")
-    digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
-    policy = f"default-src 'none'; style-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'"
-    return environment.get_template("shadow.html.j2").render(
-        report=report, title=TITLES[report.verdict], charts=charts(report), order=ORDER, style=Markup(style),
-        policy=policy, judgements=sorted(report.judgements, key=lambda j: (j.gain, j.id)), hz=HZ)
+    return render(
+        "shadow.html.j2", interactive=False, filters={"change": change}, report=report, title=TITLES[report.verdict],
+        charts=charts(report), order=ORDER, judgements=sorted(report.judgements, key=lambda j: (j.gain, j.id)), hz=HZ)
 
 
 def change(found: Change | None) -> str:
