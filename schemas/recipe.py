@@ -4,7 +4,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from schemas.base import Frozen, Name
+from schemas.base import Frozen, Name, ShortId
 from schemas.counterfactual import JudgeConfig
 
 
@@ -104,8 +104,24 @@ class DatasetConfig(Frozen):
         return self
 
 
+class PpoNumbers(Frozen):
+    """Numbers of PPO that a recipe names; those it does not name stay as the task has them, see PPO_CONFIGS."""
+
+    attempts: int | None = Field(default=None, ge=1, exclude_if=_none_given, description="attempts side by side")
+    ticks: int | None = Field(default=None, ge=2, exclude_if=_none_given, description="ticks between two updates")
+    epochs: int | None = Field(default=None, ge=1, exclude_if=_none_given,
+                               description="times that the ticks between two updates are used")
+    gamma: float | None = Field(default=None, gt=0, lt=1, exclude_if=_none_given,
+                                description="worth of the next tick's reward today")
+    last_rate: float | None = Field(default=None, gt=0, le=1, exclude_if=_none_given,
+                                    description="learning rate at the end, as a share")
+    entropy: float | None = Field(default=None, ge=0, exclude_if=_none_given, description="weight of the entropy")
+    log_std: float | None = Field(default=None, exclude_if=_none_given, description="logarithm of the action's "
+                                  "standard deviation at the start; a training that goes on keeps what it had")
+
+
 class TrainConfig(Frozen):
-    """Behaviour cloning."""
+    """Behaviour cloning, or PPO for robots that learn by trying; `chunk`, `width` and `depth` mean nothing to PPO."""
 
     policy: Name = "chunked"
     chunk: int = Field(default=8, ge=1, description="actions predicted at once")
@@ -117,6 +133,10 @@ class TrainConfig(Frozen):
     batch: int = Field(default=256, ge=1)
     learning_rate: float = Field(default=1e-3, gt=0)
     checkpoint_every: int = Field(default=500, ge=1, description="steps between resumable checkpoints")
+    ppo: PpoNumbers | None = Field(default=None, exclude_if=_none_given, description="ppo: its other numbers; steps "
+                                   "are then ticks of all attempts together")
+    goes_on: ShortId | None = Field(default=None, exclude_if=_none_given, description="ppo: policy whose weights and "
+                                    "normaliser it begins with; a loop names its champion here")
 
 
 class NightlyConfig(Frozen):
@@ -220,6 +240,24 @@ class ExamConfig(Frozen):
     rare: int = Field(default=100, ge=1)
 
 
+class RlConfig(Frozen):
+    """What a loop teaches a legged robot after generation 0: falls become starts."""
+
+    lap_steps: int = Field(default=300_000, ge=1, description="ticks of all attempts together in a later lap; "
+                                                              "train.steps are those of generation 0")
+    lap_learning_rate: float = Field(default=5e-4, gt=0)
+    hard_share: float = Field(default=0.5, ge=0, lt=1, description="of the attempts of a later lap, those that begin "
+                                                                   "where a robot stood before it fell")
+    before_s: float = Field(default=0.6, gt=0, le=10, description="how long before the fall that is [s]")
+    kept: int = Field(default=400, ge=1, description="hard starts that teach, at most; the newest stay")
+    recency: float = Field(default=1.0, gt=0, le=1, description="weight of a hard start beside one of the next lap")
+    families: Literal["even", "as-met"] = Field(
+        default="even", description="every family of falls begins as many attempts, or each as many as it has")
+    spread: float = Field(default=0.0, ge=0, le=10, description="how far attempts are spread about a hard start: 1 is "
+                          "0.03 rad of lean, 0.05 rad a joint, 0.1 m/s, 0.2 rad/s, as standard deviations")
+    held_out: float = Field(default=0.25, ge=0, lt=1, description="share of the falls that only the gate plays")
+
+
 class Recipe(Frozen):
     """One loop, whole."""
 
@@ -238,3 +276,4 @@ class Recipe(Frozen):
     deploy: DeployConfig = DeployConfig()
     harvest: HarvestConfig = HarvestConfig()
     exam: ExamConfig = ExamConfig()
+    rl: RlConfig | None = Field(default=None, exclude_if=_none_given, description="of legged robots alone")
