@@ -114,20 +114,42 @@ class LeggedWorld:
                                   mend="look at the policy: its weights or its input hold NaN or infinity")
         self.previous, self.action = self.action, np.clip(action, -1.0, 1.0)
         self._push()
-        if self.body.control == "position":
-            self._ctrl[:] = self._home + self.body.scale * self.action
-        else:
-            self._ctrl[:] = self._limit * self.body.scale * self.action
+        self._ctrl[:] = self.targets(self.action)
         self.batch.step(nstep=self.task.substeps)
         self.ticks += 1
 
-    def _push(self) -> None:
+    def act_on(self, ids: Ids, action: Array, sent: Sequence[tuple[Array, int]]) -> None:
+        """As `act` for some attempts, whose motors may hear of their actions late; the others stand still.
+
+        Args:
+            ids: attempts, k of them.
+            action: shares in [-1, 1], shape (k, joints): what they are seen to have asked for.
+            sent: what the motors are told, as `targets` gives it, shape (k, joints), and for how many steps of the
+                engine, one after the other; `substeps` in all.
+        """
+        self.previous[ids], self.action[ids] = self.action[ids], action
+        self._push(ids)
+        for targets, steps in sent:
+            if steps:
+                self._ctrl[ids] = targets
+                self.batch.step(ids, nstep=steps)
+        self.ticks[ids] += 1
+
+    def targets(self, action: Array) -> Array:
+        """What the motors are told where shares are asked for: angles [rad], or torques [N m]."""
+        if self.body.control == "position":
+            return self._home + self.body.scale * action
+        return self._limit * self.body.scale * action
+
+    def _push(self, ids: Ids | None = None) -> None:
         """Blows whose tick has come change the speed of the base over ground."""
         if not self._blows.shape[1]:
             return
         which = np.minimum(self._next_blow, self._blows.shape[1] - 1)
         blow = self._blows[np.arange(self.n), which]
         due = np.flatnonzero((blow[:, 0] <= self.ticks) & (self._next_blow < self._blows.shape[1]))
+        if ids is not None:
+            due = np.intersect1d(due, ids)
         if len(due):
             self._qvel[due, :2] += blow[due, 1:]
             self._next_blow[due] += 1
