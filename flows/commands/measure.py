@@ -195,9 +195,25 @@ def stand(
 
 
 @measure.command()
+def walk(
+    seeds: Annotated[int, typer.Option(min=1, help="Trainings, each of a seed of its own.")] = 3,
+    body: Annotated[str, typer.Option(help="biped, unitree_h1, unitree_g1, or a path.")] = "biped",
+    json: Json = None,
+) -> None:
+    """How well a trained robot walks at 0.5 m/s and other speeds, beside zero and random actions. 10 minutes a seed.
+
+    Example: hardcase measure walk --seeds 3 --json walk.json
+    """
+    from flows.studies.walk import run_walk_study
+
+    run_walk_study(seeds=seeds, body=body, json=json)
+
+
+@measure.command()
 def reference(
     seeds: Annotated[int, typer.Option(min=1, help="Trainings of each task through each vector environment.")] = 3,
     steps: Annotated[int, typer.Option(min=1, help="Environment steps of each training.")] = 1_000_000,
+    episodes: Annotated[int, typer.Option(min=1, help="Deterministic episodes that each is judged on.")] = 150,
     train: Annotated[bool, typer.Option(help="Train what is not finished; or only tell of what is.")] = True,
     json: Json = None,
 ) -> None:
@@ -207,4 +223,4 @@ def reference(
     """
     from flows.studies.reference import run_reference_study
 
-    run_reference_study(seeds=seeds, steps=steps, train=train, json=json)
+    run_reference_study(seeds=seeds, steps=steps, episodes=episodes, train=train, json=json)

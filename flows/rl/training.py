@@ -68,25 +68,28 @@ def trained(order: Order, folder: Path, *, threads: int = 1) -> dict[str, Any]:
 
 
 def run_evaluate(policy: Path, *, attempts: int, seed: int, stratum: str | None, threads: int, as_json: bool,
-                 json: Path | None = None) -> str:
+                 speed: float | None = None, json: Path | None = None) -> str:
     """Evaluate a policy beside zero and random actions on the same starts, and say what to print."""
-    found = evaluated(policy, attempts=attempts, seed=seed, stratum=stratum, threads=threads)
+    found = evaluated(policy, attempts=attempts, seed=seed, stratum=stratum, threads=threads, speed=speed)
     write_json(json, found)
     if as_json:
         return jsonlib.dumps(found)
-    table = Table("who acts", "full attempts", "mean length [s]", "off the asked speed [m/s]", "reward terms a tick")
+    table = Table("who acts", "full attempts", "full at that speed", "mean length [s]", "off the asked speed [m/s]",
+                  "reward terms a tick")
     for name, arm in found["arms"].items():
-        table.add_row(name, f"{arm['rate']:.3f} [{arm['low']:.3f} {arm['high']:.3f}]", f"{arm['length_s']:.1f}",
+        table.add_row(name, *(f"{share['rate']:.3f} [{share['low']:.3f} {share['high']:.3f}]"
+                              for share in (arm, arm["follows"])), f"{arm['length_s']:.1f}",
                       f"{arm['error']:.2f}", ", ".join(f"{k} {v:.2f}" for k, v in arm["terms"].items()))
-    console = Console(width=140)
+    console = Console(width=150)
     with console.capture() as said:
-        console.print(f"{found['body']} {found['task']}: {attempts} attempts at {found['stratum']} starts, seed {seed}")
+        console.print(f"{found['body']} {found['task']}: {attempts} attempts at {found['stratum']} starts, seed {seed}"
+                      + ("" if speed is None else f", {speed:g} m/s asked"))
         console.print(table)
     return said.get().rstrip()
 
 
 def evaluated(policy: Path, *, attempts: int, seed: int, stratum: str | None = None, threads: int = 1,
-              outcomes: Callable[[str, Any], None] | None = None) -> dict[str, Any]:
+              speed: float | None = None, outcomes: Callable[[str, Any], None] | None = None) -> dict[str, Any]:
     """The policy, zero action and random actions on the same starts, each with a Wilson interval.
 
     Args:
@@ -95,21 +98,16 @@ def evaluated(policy: Path, *, attempts: int, seed: int, stratum: str | None = N
         seed: of the starts, which no training meets.
         stratum: kind of start; that of the training where None.
         threads: threads of the engine.
+        speed: forward, asked for in every attempt [m/s]; as the task draws it where None.
         outcomes: called with each arm's name and its Evaluated.
 
     Raises:
-        HardcaseError: no such policy, or one that is for another robot.
+        HardcaseError: no such policy, one that is for another robot, or a speed that it never learned.
     """
     from pipeline.locomotion.bodies import load_legged
     from pipeline.locomotion.evaluation import evaluate, random_action, zero_action
-    from pipeline.ppo.runner import OnnxRunner
-    from pipeline.statistics import wilson
 
-    file = policy / POLICY if policy.is_dir() else policy
-    if policy.is_dir() and not file.exists():
-        raise PolicyError("no policy here yet", where=policy, mend="finish the training: hardcase rl train --resume")
-    runner = OnnxRunner(file)
-    body_name, task = _meant(runner, file)
+    runner, body_name, task = opened(policy, speed)
     body = load_legged(body_name)
     kind = stratum or runner.facts.get("stratum") or next(iter(task.starts))
     arms: dict[str, Any] = {}
@@ -118,11 +116,55 @@ def evaluated(policy: Path, *, attempts: int, seed: int, stratum: str | None = N
         done = evaluate(act, body, task, n=attempts, seed=seed, stratum=kind, threads=threads)
         if outcomes is not None:
             outcomes(name, done)
-        share = wilson(int(done.full.sum()), attempts)
-        arms[name] = {"full": int(done.full.sum()), "rate": share.rate, "low": share.low, "high": share.high,
-                      "length_s": float(done.length.mean()) / task.control_hz, "error": done.error, "terms": done.terms}
-    return {"policy": str(file), "training": runner.facts.get("training"), "body": body_name,
-            "task": runner.facts["name"], "stratum": kind, "attempts": attempts, "seed": seed, "arms": arms}
+        arms[name] = _told(done, task.control_hz)
+    return {"policy": str(_file(policy)), "training": runner.facts.get("training"), "body": body_name,
+            "task": runner.facts["name"], "stratum": kind, "attempts": attempts, "seed": seed, "speed": speed,
+            "arms": arms}
+
+
+def _told(done: Any, control_hz: float) -> dict[str, Any]:
+    """One arm in numbers."""
+    from pipeline.statistics import wilson
+
+    full, follows = (int(bits.sum()) for bits in (done.full, done.follows))
+    share, following = wilson(full, len(done.full)), wilson(follows, len(done.full))
+    mean = done.mean[done.full]
+    return {"full": full, "rate": share.rate, "low": share.low, "high": share.high,
+            "follows": {"rate": following.rate, "low": following.low, "high": following.high},
+            "length_s": float(done.length.mean()) / control_hz, "error": done.error, "terms": done.terms,
+            "speed_of_full_m_s": float(mean[:, 0].mean()) if full else None,
+            "off_of_full_m_s": float(abs(mean - done.asked[done.full])[:, 0].mean()) if full else None}
+
+
+def _file(policy: Path) -> Path:
+    return policy / POLICY if policy.is_dir() else policy
+
+
+def opened(policy: Path, speed: float | None = None) -> tuple[Any, str, Any]:
+    """A policy, and the body and task that its file says it is for.
+
+    Args:
+        policy: an ONNX file, or the folder of a training.
+        speed: forward, that the task shall ask for in every attempt [m/s]; as it draws it where None.
+
+    Raises:
+        HardcaseError: no policy of a legged robot, or a speed that it never learned.
+    """
+    from pipeline.ppo.runner import OnnxRunner
+
+    file = _file(policy)
+    if policy.is_dir() and not file.exists():
+        raise PolicyError("no policy here yet", where=policy, mend="finish the training: hardcase rl train --resume")
+    runner = OnnxRunner(file)
+    body, task = _meant(runner, file)
+    if speed is None:
+        return runner, body, task
+    low, high = task.command[0]
+    if not low <= speed <= high:
+        raise ConfigError(f"speed {speed:g} m/s, which this policy never learned", where=file,
+                          mend=f"ask for {low:g} to {high:g} m/s" if low < high else
+                          "evaluate without --speed, or train one that walks: hardcase rl train --task walk")
+    return runner, body, task.asking(speed)
 
 
 def _meant(runner: Any, file: Path) -> tuple[str, Any]:
