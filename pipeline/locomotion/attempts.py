@@ -1,6 +1,6 @@
 """Attempts: many legged robots that begin anew as soon as they have fallen or their time is up; what PPO learns in."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,13 +43,14 @@ class Attempts:
         n: how many.
         seed: of the starts.
         stratum: kind of start; the first of the task where None.
+        draw: how a start follows from its seed, in place of a kind of start.
         threads: threads of the engine.
     """
 
     def __init__(self, body: LeggedBody, task: LeggedTask, n: int, *, seed: int, stratum: str | None = None,
-                 threads: int = 1) -> None:
+                 draw: Callable[[int], Start] | None = None, threads: int = 1) -> None:
         self.world, self.task, self.body = LeggedWorld(body, task, n, threads=threads), task, body
-        self.seed, self._stratum = seed, stratum or next(iter(task.starts))
+        self.seed, self._stratum, self._draw = seed, stratum or next(iter(task.starts)), draw
         self.begun = np.zeros(n, np.int64)
         """Attempts begun in each place so far."""
         self._all = np.arange(n)
@@ -82,7 +83,8 @@ class Attempts:
 
     def start(self, place: int, k: int) -> Start:
         """The k-th start in a place."""
-        return draw_start(self.task, self.body, self._stratum, start_seed(self.seed, place, k))
+        seed = start_seed(self.seed, place, k)
+        return self._draw(seed) if self._draw else draw_start(self.task, self.body, self._stratum, seed)
 
     def save(self) -> dict[str, NDArray[np.float64]]:
         """All that a restart from this very moment needs."""

@@ -5,8 +5,9 @@ from types import MappingProxyType
 from pydantic import Field
 
 from pipeline.files import short_id
+from pipeline.locomotion.curriculum import Curriculum
 from pipeline.locomotion.tasks import LeggedTask
-from schemas.base import Frozen
+from schemas.base import Frozen, Sha256
 
 
 class PpoConfig(Frozen):
@@ -43,6 +44,11 @@ PPO_CONFIGS: MappingProxyType[str, PpoConfig] = MappingProxyType(
 """Task -> its tuned numbers; other tasks begin with those of a plain PpoConfig()."""
 
 
+def _none(value: object) -> bool:
+    """Orders that do not speak of it keep the ids that they had before they could."""
+    return value is None
+
+
 class Order(Frozen):
     """One training: the same order gives the same weights."""
 
@@ -50,6 +56,10 @@ class Order(Frozen):
     name: str = Field(description="of the task")
     task: LeggedTask
     stratum: str | None = Field(default=None, description="kind of start; the task's first where None")
+    curriculum: Curriculum | None = Field(default=None, exclude_if=_none, description="kinds of start and hard starts, "
+                                          "in place of one kind")
+    goes_on: Sha256 | None = Field(default=None, exclude_if=_none, description="hash of the file of weights that it "
+                                   "begins with, see pipeline.ppo.weights")
     ppo: PpoConfig = PpoConfig()
     seed: int = Field(default=0, ge=0)
 

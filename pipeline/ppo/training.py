@@ -7,15 +7,17 @@
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Self, override
+from typing import Any, Self, override
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from stable_baselines3.common.callbacks import BaseCallback
 
 from pipeline.errors import PolicyError
 from pipeline.locomotion.attempts import Attempts
 from pipeline.locomotion.bodies import load_legged
+from pipeline.locomotion.curriculum import StartSource
 from pipeline.policies.resuming import newest
 from pipeline.ppo import checkpoint
 from pipeline.ppo.checkpoint import Saved
@@ -24,6 +26,7 @@ from pipeline.ppo.curves import Point, update_figures
 from pipeline.ppo.export import build, write_policy
 from pipeline.ppo.model import model_state, ppo_model, restore_model
 from pipeline.ppo.vec_env import AttemptsVecEnv
+from pipeline.ppo.weights import begin_with, write_weights
 
 type Progress = Callable[[Point, int], None]
 """Called with the newest point and the number of steps in all."""
@@ -43,13 +46,19 @@ class Training:
         order: what is trained; equal orders give equal weights.
         folder: where checkpoints lie; a training goes on from the newest one there.
         threads: threads of the engine; results do not depend on them.
+        weights: file of the weights that the order goes on from; needed where no checkpoint lies in `folder` yet.
+
+    Raises:
+        PolicyError: the checkpoint or the weights are damaged, or not those of the order.
     """
 
-    def __init__(self, order: Order, folder: Path, *, threads: int = 1) -> None:
+    def __init__(self, order: Order, folder: Path, *, threads: int = 1, weights: Path | None = None) -> None:
         torch.set_num_threads(order.ppo.torch_threads)
         self.order, self.folder = order, folder
-        attempts = Attempts(load_legged(order.body), order.task, order.ppo.attempts, seed=order.seed,
-                            stratum=order.stratum, threads=threads)
+        body, curriculum = load_legged(order.body), order.curriculum
+        attempts = Attempts(body, order.task, order.ppo.attempts, seed=order.seed, stratum=order.stratum,
+                            draw=StartSource(curriculum, order.task, body).draw if curriculum else None,
+                            threads=threads)
         self.env = AttemptsVecEnv(attempts, order.ppo.reward_scale)
         self.model = ppo_model(self.env, order.ppo, order.seed)
         self.curve: list[Point] = []
@@ -57,6 +66,8 @@ class Training:
         """Time spent so far, in this process and in those before it [s]."""
         if (path := newest(folder)) is not None:
             self._load(checkpoint.load(path, order.id), path)
+        elif order.goes_on is not None:
+            begin_with(self.model, self.env.normaliser, weights, order.goes_on)
 
     @property
     def steps(self) -> int:
@@ -100,6 +111,15 @@ class Training:
             mean = policy.action_net(policy.mlp_extractor.forward_actor(torch.as_tensor(np.asarray(seen))))
         return bool(torch.isfinite(mean).all() and torch.isfinite(policy.log_std.exp()).all())
 
+    @property
+    def weights(self) -> dict[str, NDArray[Any]]:
+        """SB3's names of actor and critic -> values."""
+        return {k: v.detach().numpy() for k, v in self.model.policy.state_dict().items()}
+
+    def leave_weights(self, path: Path) -> str:
+        """Write weights and normaliser for a training that is to go on from them; returns the file's hash."""
+        return write_weights(path, self.weights, self.env.normaliser)
+
     def export(self, path: Path) -> float:
         """Write the policy as ONNX; returns the largest difference to PyTorch on observations like those met.
 
@@ -107,8 +127,7 @@ class Training:
             PolicyError: the difference is above 1e-5.
         """
         order, normaliser = self.order, self.env.normaliser
-        weights = {k: v.detach().numpy() for k, v in self.model.policy.state_dict().items()}
-        model = build(weights, normaliser, {
+        model = build(self.weights, normaliser, {
             "body": order.body, "task": order.task.model_dump_json(), "name": order.name, "training": order.id,
             "stratum": order.stratum or ""})
         rng = np.random.default_rng(0)
