@@ -174,9 +174,30 @@ class LeggedWorld:
         force = self._force[:, 6:] if self._in_order else self._force[:, self._v]
         return force / self._limit
 
+    def rates(self, ids: Ids) -> Array:
+        """Speeds of the joints, true [rad/s], shape (len(ids), joints)."""
+        return self._qvel[np.ix_(ids, self._v)]
+
+    def clock(self, ids: Ids) -> Array:
+        """Ticks so far and blows so far, shape (len(ids), 2)."""
+        return np.column_stack([self.ticks[ids], self._next_blow[ids]]).astype(np.float64)
+
+    def set_clock(self, ids: Ids, clock: Array) -> None:
+        """Go on from what `clock` gave."""
+        self.ticks[ids], self._next_blow[ids] = clock.astype(np.int64).T
+
     def position(self) -> Array:
         """Where the bases are, true [m], shape (n, 3)."""
         return self._qpos[:, :3].copy()
+
+    def orientation(self) -> Array:
+        """How the bases are turned, true, quaternions w, x, y, z, shape (n, 4)."""
+        return self._qpos[:, 3:7].copy()
+
+    @staticmethod
+    def command_at(joints: int) -> slice:
+        """Where the command stands in an observation of a robot with so many joints."""
+        return slice(6 + 3 * joints, 9 + 3 * joints)
 
     def phase(self) -> Array:
         """The gait's clock, in [0, 1), shape (n,)."""

@@ -1,0 +1,145 @@
+"""Parts of legged hierarchies: courses above; a trained policy and predictive sampling below."""
+
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.control.config import CourseConfig, SamplingConfig
+from pipeline.control.legged import LeggedPlant, LeggedSensed
+from pipeline.control.parts import Forgetful, Memory
+from pipeline.errors import PolicyError
+from pipeline.locomotion.tasks import LeggedTask
+from pipeline.locomotion.world import LeggedWorld
+from pipeline.ppo.runner import OnnxRunner
+from pipeline.protocols import Array
+
+FALL = 20.0
+"""What each step of a plan after a fall costs, in units of a step's rewards."""
+
+
+class Profile(Forgetful):
+    """The upper that asks for a speed by the clock, and to look where the robot looked at the beginning."""
+
+    def __init__(self, course: CourseConfig) -> None:
+        self._times, self._speeds = np.array(course.profile, np.float64).T
+        self._course = course
+
+    def command(self, sensed: LeggedSensed, time_s: float) -> Array:
+        """Forward, left [m/s], turning [rad/s], shape (n, 3)."""
+        forward = np.full(len(sensed.heading), np.interp(time_s, self._times, self._speeds))
+        return np.column_stack([forward, np.zeros_like(forward), turning(-sensed.heading, self._course)])
+
+
+class Waypoints:
+    """The upper that leads from one waypoint to the next: forward as far as it looks that way, turning towards it.
+
+    Args:
+        course: where to, and how fast.
+        n: how many robots.
+    """
+
+    def __init__(self, course: CourseConfig, n: int) -> None:
+        self._course, self._points = course, np.array(course.waypoints, np.float64)
+        self._start = np.full((n, 2), np.nan)
+        self.reached = np.zeros(n)
+        """Waypoints that each robot has reached, shape (n,)."""
+
+    def command(self, sensed: LeggedSensed, time_s: float) -> Array:
+        """Forward, left [m/s], turning [rad/s], shape (n, 3); zero from the last waypoint on."""
+        course, last = self._course, len(self._points)
+        if np.isnan(self._start).any():
+            self._start = sensed.position.copy()
+        way = self._way(sensed)
+        self.reached += (self.reached < last) & (np.linalg.norm(way, axis=1) < course.within_m)
+        way = self._way(sensed)
+        angle = np.arctan2(way[:, 1], way[:, 0]) - sensed.heading
+        angle = (angle + np.pi) % (2 * np.pi) - np.pi
+        forward = course.speed_m_s * np.maximum(0.0, np.cos(angle))
+        command = np.column_stack([forward, np.zeros_like(forward), turning(angle, course)])
+        return np.where((self.reached < last)[:, None], command, 0.0)
+
+    def _way(self, sensed: LeggedSensed) -> Array:
+        """From each robot to its next waypoint [m], shape (n, 2)."""
+        following = np.minimum(self.reached, len(self._points) - 1).astype(int)
+        return self._start + self._points[following] - sensed.position
+
+    def save(self) -> Memory:
+        """Where the course begins, and how far each robot has come."""
+        return {"start": self._start.copy(), "reached": self.reached.copy()}
+
+    def load(self, memory: Memory) -> None:
+        """Go on from what `save` gave."""
+        self._start, self.reached = memory["start"].copy(), memory["reached"].copy()
+
+
+def turning(angle: Array, course: CourseConfig) -> Array:
+    """Turning asked for [rad/s] where an angle is missing [rad]."""
+    return np.clip(course.turn_1_s * angle, -course.turn_rad_s, course.turn_rad_s)
+
+
+class Trained(Forgetful):
+    """The lower that asks a trained policy, at the command it is given.
+
+    A command beyond what the policy was trained for is cut to it: a policy that never turned is not asked to turn.
+
+    Args:
+        path: the ONNX file.
+        plant: the robots it shall drive.
+
+    Raises:
+        PolicyError: no policy of a legged robot, or one of another body or another kind of observation.
+    """
+
+    def __init__(self, path: Path, plant: LeggedPlant) -> None:
+        self._runner, self._joints = OnnxRunner(path), len(plant.body.joints)
+        if (self._runner.width, self._runner.joints) != (plant.world.width, self._joints):
+            raise PolicyError(f"policy reads {self._runner.width} values and moves {self._runner.joints} joints, the "
+                              f"robot has {plant.world.width} and {self._joints}", where=path,
+                              mend="give a policy of this body and task: hardcase rl train --body BODY --task walk")
+        self.limits: Array = np.array(LeggedTask.model_validate_json(self._runner.facts["task"]).command, np.float64)
+        """Smallest and largest of each command that the policy was trained for, shape (3, 2)."""
+
+    def act(self, command: Array, sensed: LeggedSensed) -> Array:
+        """Shares in [-1, 1], shape (n, joints)."""
+        seen = sensed.observation.copy()
+        at = LeggedWorld.command_at(self._joints)
+        seen[:, at] = np.clip(command, *self.limits.T)
+        return self._runner(seen)
+
+
+class LeggedModel:
+    """n robots times k plans in one LeggedWorld: what a plan costs is what the task does not reward it with.
+
+    Every term of the task's reward is of each step of a plan, and a step after a fall costs FALL; pushes to come are
+    not known to it.
+
+    Args:
+        plant: the robots; the model is their nominal one.
+        config: k, and the steps of a plan.
+        threads: threads of the engine; results do not depend on them.
+    """
+
+    def __init__(self, plant: LeggedPlant, config: SamplingConfig, *, threads: int = 1) -> None:
+        engine = plant.clock_hz
+        task = plant.task.model_copy(update={
+            "control_hz": 1 / config.step_s, "substeps": max(1, round(engine * config.step_s))})
+        self._world = LeggedWorld(plant.body, task, plant.n * config.samples, threads=threads)
+        self._slower = task.control_hz / engine
+        self.low, self.high = np.full(self._world.action_size, -1.0), np.full(self._world.action_size, 1.0)
+
+    def costs(self, sensed: LeggedSensed, command: Array, actions: Array) -> Array:
+        """Costs (n, k) of shares (n, k, steps, joints); see pipeline.control.sampling.Model."""
+        n, k, steps, joints = actions.shape
+        world = self._world
+        kept = {name: np.repeat(values, k, axis=0) for name, values in sensed.world.items()}
+        kept["ticks"] = np.round(kept["ticks"] * self._slower)
+        kept["blows"], kept["next_blow"] = np.zeros((n * k, 0, 3)), np.zeros(n * k)
+        kept["command"] = np.repeat(command, k, axis=0)
+        world.load(kept)
+        fallen, cost = np.zeros(n * k, bool), np.zeros(n * k)
+        for step in range(steps):
+            world.act(actions[:, :, step].reshape(n * k, joints))
+            now = world.motion()
+            fallen |= world.fallen(now)
+            cost += np.where(fallen, FALL, -np.sum(list(world.rewards(now).values()), axis=0))
+        return np.where(np.isfinite(cost), cost, np.inf).reshape(n, k)
