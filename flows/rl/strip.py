@@ -18,8 +18,8 @@ PICTURES = 8
 WALKS_FROM_S, APART_S = 4.0, 0.2
 """Begin of the strip in tasks with a gait (others: 0), and the time between pictures of the others."""
 KINDS = (".webp", ".png")
-MIDDLE = slice(70, 250)
-"""Columns of a picture that show the robot."""
+ROWS, MIDDLE = slice(30, 240), slice(70, 250)
+"""Rows and columns of a picture that show the robot."""
 
 
 def write_strip(policy: Path, to: Path, *, seed: int = 0, stratum: str | None = None,
@@ -47,7 +47,7 @@ def write_strip(policy: Path, to: Path, *, seed: int = 0, stratum: str | None = 
         pictures, times, fell = _played(env, runner, task, evaluation_seed(seed, 0))
     finally:
         env.close()
-    sheet = Image.fromarray(np.concatenate([picture[:, MIDDLE] for picture in pictures], axis=1))
+    sheet = Image.fromarray(np.concatenate([picture[ROWS, MIDDLE] for picture in pictures], axis=1))
     draw, width = ImageDraw.Draw(sheet), MIDDLE.stop - MIDDLE.start
     for k, time_s in enumerate(times):
         draw.text((k * width + 8, 6), f"{time_s:.2f} s", fill=(255, 255, 255))

@@ -24,6 +24,8 @@ class Contact(Frozen):
 
 
 NOMINAL = Contact()
+TILES, TILE_M = ((0.80, 0.76, 0.70), (0.72, 0.68, 0.62)), 0.25
+"""Colours and edge of the tiles of level ground, which show in a picture how far a robot has come."""
 
 
 def table(spec: mujoco.MjSpec, contact: Contact = NOMINAL) -> None:
@@ -66,8 +68,12 @@ def ground(spec: mujoco.MjSpec, contact: Contact = NOMINAL) -> None:
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.35] * 3, [0.45] * 3
     world = spec.worldbody
     world.add_light(pos=[0.5, -1.5, 3.0], dir=[-0.1, 0.4, -1], diffuse=[0.6] * 3, castshadow=False)
+    tiles = spec.add_texture(name="tiles", type=mujoco.mjtTexture.mjTEXTURE_2D, width=64, height=64,
+                             builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER, rgb1=TILES[0], rgb2=TILES[1])
+    material = spec.add_material(name="tiles", texuniform=True, texrepeat=[1 / TILE_M / 2] * 2)
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = tiles.name
     world.add_geom(name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[50, 50, 0.1], contype=2, conaffinity=1,
-                   friction=[1.0, 0.01, 0.0001], rgba=(0.80, 0.76, 0.70, 1), solref=contact.solref,
+                   friction=[1.0, 0.01, 0.0001], rgba=(1, 1, 1, 1), material=material.name, solref=contact.solref,
                    solimp=(*contact.solimp, 0.5, 2))
 
 
