@@ -57,7 +57,7 @@ class LeggedWorld:
         self._v = np.array([model.joint(j).dofadr[0] for j in body.joints])
         self._in_order = bool((self._q == np.arange(7, 7 + len(self._q))).all() and model.nq == 7 + len(self._q))
         self._feet = np.array([model.sensor(f + SENSED_BY_FEET).adr[0] for f in body.feet])
-        self._home, self._limit = np.array(body.home), _limits(model)
+        self._home, self._limit = np.array(body.home), limits(model)
         self._low, self._high = model.jnt_range[[model.joint(j).id for j in body.joints]].T
         joints = len(body.joints)
         self.action, self.previous = np.zeros((n, joints)), np.zeros((n, joints))
@@ -243,7 +243,7 @@ class LeggedWorld:
         self._blows, self._next_blow = saved["blows"].copy(), saved["next_blow"].astype(np.int64)
 
 
-def _limits(model: mujoco.MjModel) -> Array:
+def limits(model: mujoco.MjModel) -> Array:
     """Largest force of each actuator [N m]; 1 where the model names none."""
     force, control = model.actuator_forcerange[:, 1], model.actuator_ctrlrange[:, 1]
     joint = model.jnt_actfrcrange[model.actuator_trnid[:, 0], 1]
