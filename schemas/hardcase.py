@@ -4,6 +4,7 @@ from pydantic import Field
 
 from schemas.base import Frozen, ShortId
 from schemas.counterfactual import Judgement, Wrong
+from schemas.legged import LeggedStart
 
 
 def _not_mined(value: object) -> bool:
@@ -35,3 +36,5 @@ class HardCase(Frozen):
                                   "to belong to, whatever trigger noticed it")
     subtask: str | None = Field(default=None, exclude_if=_not_mined, description="the first that was not finished")
     begins: int | None = Field(default=None, ge=0, exclude_if=_not_mined, description="tick at which that began")
+    start: LeggedStart | None = Field(default=None, exclude_if=_not_mined, description="legged robots: the state some "
+                                      "time before the fall, as sensed; what a later training may begin at")

@@ -7,13 +7,13 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from pipeline.locomotion.starts import Start, draw_start, from_data, pushed
+from pipeline.protocols import Array
 from schemas.base import Frozen, ShortId
 from schemas.legged import LeggedStart
 
 if TYPE_CHECKING:
     from pipeline.locomotion.body import LeggedBody
     from pipeline.locomotion.tasks import LeggedTask
-    from pipeline.protocols import Array
 
 LEAN_RAD, BEND_RAD, SPEED_M_S, TURN_RAD_S = 0.03, 0.05, 0.1, 0.2
 """Standard deviations of a start spread about a hard one, for a spread of 1."""
@@ -61,9 +61,10 @@ class StartSource:
 
     def __init__(self, curriculum: Curriculum, task: "LeggedTask", body: "LeggedBody") -> None:
         self._task, self._body, self._curriculum = task, body, curriculum
-        self._kinds, self._kind_edges = [*curriculum.kinds], _edges([*curriculum.kinds.values()])
+        self._kinds: list[str] = [*curriculum.kinds]
+        self._kind_edges: Array = _edges([*curriculum.kinds.values()])
         self._hard = [from_data(h.start) for h in curriculum.starts]
-        self._hard_edges = _edges([h.weight for h in curriculum.starts])
+        self._hard_edges: Array = _edges([h.weight for h in curriculum.starts])
 
     def draw(self, seed: int) -> Start:
         """The start that this seed gives: a hard one with blows of its own, or one of a drawn kind."""
@@ -94,7 +95,7 @@ def spread_about(start: Start, spread: float, rng: np.random.Generator) -> Start
     return replace(start, quaternion=_leant(start.quaternion, lean), velocity=velocity, bend=bend, rates=rates)
 
 
-def _leant(quaternion: "Array", lean: "Array") -> "Array":
+def _leant(quaternion: Array, lean: Array) -> Array:
     """The orientation leant further about the world's x and y axes by small angles [rad]."""
     w, x, y, z = quaternion
     a, b = lean / 2
@@ -102,6 +103,6 @@ def _leant(quaternion: "Array", lean: "Array") -> "Array":
     return turned / np.linalg.norm(turned)
 
 
-def _edges(weights: list[float]) -> "Array":
+def _edges(weights: list[float]) -> Array:
     """Upper limits of each one's part of [0, 1), without the last."""
     return np.cumsum(weights)[:-1] / sum(weights) if weights else np.zeros(0)
