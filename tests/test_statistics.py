@@ -14,11 +14,13 @@ from statsmodels.stats.proportion import proportion_confint
 from pipeline.errors import ConfigError
 from pipeline.statistics import (
     bootstrap_difference,
+    bootstrap_interquartile,
     compare,
     deployment_mix,
     further_scenes_to_bound,
     further_scenes_to_show,
     holm,
+    interquartile_mean,
     loss_upper,
     mcnemar,
     outlook,
@@ -326,3 +328,29 @@ def test_too_few_or_constant_rates_give_no_correlation():
 def test_prediction_refuses_rates_of_different_policies():
     with pytest.raises(ConfigError, match="mend: give both rates of every policy"):
         predict_quality([0.8, 0.9], [0.5])
+
+
+def test_the_interquartile_mean_is_scipys_trimmed_mean():
+    rng = np.random.default_rng(0)
+    for shape in ((1, 1), (1, 3), (3, 150), (2, 7)):
+        values = rng.normal(size=shape)
+        assert interquartile_mean(values) == pytest.approx(stats.trim_mean(values, 0.25, axis=None))
+
+
+def test_the_interquartile_interval_knows_seeds_from_episodes():
+    rng = np.random.default_rng(0)
+    alike = rng.normal(100, 10, (3, 150))
+    apart = alike + np.array([[0.0], [100.0], [200.0]])
+    a, b = (bootstrap_interquartile(apart, np.random.default_rng(1), replicates=500) for _ in range(2))
+    assert a == b and a.low < a.estimate < a.high
+    assert a.high - a.low > 150  # three seeds as far apart as that say little
+    narrow = bootstrap_interquartile(alike, np.random.default_rng(1), replicates=500)
+    assert narrow.high - narrow.low < 10
+    same = bootstrap_interquartile(np.full((3, 4), 7.0), rng, replicates=10)
+    assert (same.estimate, same.low, same.high) == (7, 7, 7)
+
+
+@pytest.mark.parametrize("shape", [(3,), (0, 5), (3, 0)], ids=["one row", "no seeds", "no episodes"])
+def test_the_interquartile_interval_refuses_what_is_no_table_of_returns(shape):
+    with pytest.raises(ConfigError, match="mend: hand in one row for each seed"):
+        bootstrap_interquartile(np.ones(shape), np.random.default_rng(0))

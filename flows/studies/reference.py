@@ -14,15 +14,13 @@ from pipeline.ppo.reference import PUBLISHED, ZOO, Arm, ReferenceOrder
 from pipeline.store import store_root
 
 FIRST_SEED = 100
-EPISODES = 150
-"""As many as the published figures are means of."""
 RUN = "run.json"
 """What a finished training leaves in its folder beside its last checkpoint."""
 ORDER: tuple[Arm, ...] = ("ours", "dummy")
 """All of the first are trained before any of the second."""
 
 
-def run_reference_study(*, seeds: int, steps: int, train: bool, json: Path | None) -> dict[str, Any]:
+def run_reference_study(*, seeds: int, steps: int, episodes: int, train: bool, json: Path | None) -> dict[str, Any]:
     """Train and evaluate what is not finished yet, one after another, print the tables, and hand back everything.
 
     A training that was cut off goes on from its checkpoint, to the bits of one that was not.
@@ -30,6 +28,7 @@ def run_reference_study(*, seeds: int, steps: int, train: bool, json: Path | Non
     Args:
         seeds: how many, of each task and arm.
         steps: environment steps of each training.
+        episodes: deterministic ones that each is judged on.
         train: whether to train at all, or only to tell of what is finished.
         json: where to write all of it, curves and single returns included.
     """
@@ -38,13 +37,13 @@ def run_reference_study(*, seeds: int, steps: int, train: bool, json: Path | Non
               for arm in ORDER for task in ZOO for seed in range(FIRST_SEED, FIRST_SEED + seeds)]
     runs: list[dict[str, Any]] = []
     for order in orders:
-        found = _finished(folder_of(order))
+        found = _finished(order, episodes)
         if found is None and train:
-            found = _train(order, console)
+            found = _train(order, episodes, console)
         if found is not None:
             runs.append(found)
-    missing = [_name(order) for order in orders if _finished(folder_of(order)) is None]
-    whole = {"steps": steps, "episodes": EPISODES, "published": dict(PUBLISHED), "runs": runs, "missing": missing}
+    missing = [_name(order) for order in orders if _finished(order, episodes) is None]
+    whole = {"steps": steps, "episodes": episodes, "published": dict(PUBLISHED), "runs": runs, "missing": missing}
     whole["pooled"] = pooled(runs)
     for table in tables(whole):
         Console(width=120).print(table)
@@ -63,12 +62,14 @@ def _name(order: ReferenceOrder) -> str:
     return f"{order.task}-{order.arm}-{order.seed}"
 
 
-def _finished(folder: Path) -> dict[str, Any] | None:
-    file = folder / RUN
-    return jsonlib.loads(file.read_bytes()) if file.exists() else None
+def _finished(order: ReferenceOrder, episodes: int) -> dict[str, Any] | None:
+    """What a training left, if it is at its end and was judged on as many episodes."""
+    file = folder_of(order) / RUN
+    found = jsonlib.loads(file.read_bytes()) if file.exists() else None
+    return found if found is not None and len(found["returns"]) == episodes else None
 
 
-def _train(order: ReferenceOrder, console: Console) -> dict[str, Any]:
+def _train(order: ReferenceOrder, episodes: int, console: Console) -> dict[str, Any]:
     """One training from where it stands to its end, and its evaluation."""
     from pipeline.ppo.reference_training import ReferenceTraining
 
@@ -80,7 +81,7 @@ def _train(order: ReferenceOrder, console: Console) -> dict[str, Any]:
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(_name(order), total=order.ppo.steps, completed=training.steps)
         training.run(lambda point: bar.update(task, completed=point[0]))
-    returns, lengths = training.evaluate(EPISODES, order.seed)
+    returns, lengths = training.evaluate(episodes, order.seed)
     found: dict[str, Any] = {
         "task": order.task, "arm": order.arm, "seed": order.seed, "id": order.id, "steps": training.steps,
         "cpu_s": training.cpu_s, "wall_s": training.wall_s, "weights": training.digest, "curve": training.curve,
@@ -98,7 +99,7 @@ def pooled(runs: list[dict[str, Any]]) -> dict[str, Any]:
     """
     import numpy as np
 
-    from pipeline.statistics.interquartile import bootstrap_interquartile
+    from pipeline.statistics import bootstrap_interquartile
 
     told: dict[str, Any] = {}
     for task, published in PUBLISHED.items():
