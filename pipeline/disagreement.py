@@ -9,6 +9,6 @@ ACTION_SCALE = np.array([*LIMITS, OPEN_M])
 """Unit of each action value in the disagreement: the controller's limits and the full opening."""
 
 
-def disagreement(one: Array, other: Array) -> Array:
-    """Mean distance of actions (n, 5) in units of ACTION_SCALE, shape (n,)."""
-    return (np.abs(one - other) / ACTION_SCALE).mean(axis=1)
+def disagreement(one: Array, other: Array, scale: Array = ACTION_SCALE) -> Array:
+    """Mean distance of actions (n, w) in units of `scale`, shape (n,)."""
+    return (np.abs(one - other) / scale).mean(axis=1)

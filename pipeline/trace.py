@@ -65,12 +65,23 @@ class Trace:
     events: tuple[Event, ...] = ()
     signals: Mapping[str, Rows] = field(default_factory=dict[str, Rows])
     """What was computed of the attempt's risk, see pipeline.signals -> value at each tick, NaN where unknown, (m,)."""
+    joints: tuple[str, ...] = ()
+    """Joints of a legged robot, j of them; empty for the reference arm. Where there are any, state is what
+    pipeline.locomotion.world.LeggedWorld.observe tells, environment holds nothing, action are shares, and everything
+    about joints has j columns."""
+    torque: bool = False
+    """Whether joint_action are torques [N m] rather than angles [rad]."""
+    joint_position: Rows = field(default_factory=lambda: np.zeros((0, 0)))
+    """Angles that a legged robot measured [rad], shape (m, j)."""
+    imu: Rows = field(default_factory=lambda: np.zeros((0, 7)))
+    """Orientation qw, qx, qy, qz as a legged robot's IMU tells it, without a heading, and turning speed [rad/s],
+    shape (m, 7)."""
 
     def __len__(self) -> int:
         return len(self.state)
 
     def frames(self) -> Frames:
-        """The dataset's features; nothing that a robot cannot sense is in them."""
+        """The dataset's features of the reference arm; nothing that a robot cannot sense is in them."""
         f32 = np.float32
         return Frames(self.state.astype(f32), self.environment.astype(f32),
                       self.action.astype(f32), self.joint_action.astype(f32))

@@ -99,6 +99,13 @@ def joint_state(names: Sequence[str], *, position: bool = True, velocity: bool, 
     return builder.layout()
 
 
+def imu() -> Layout:
+    """sensor_msgs/Imu: orientation x, y, z, w, its covariance, turning speed, its covariance, acceleration, its
+    covariance; 37 values, of which a first covariance of -1 says that there is no such measurement.
+    """
+    return Builder().stamp().text("base").floats(37).layout()
+
+
 def float64() -> Layout:
     """std_msgs/Float64."""
     return Builder().floats(1).layout()

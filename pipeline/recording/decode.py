@@ -21,6 +21,9 @@ _FEATURES: Mapping[str, tuple[str, int]] = {
     "/observation/environment": ("observation.environment_state", 0),
     "/command/ee": ("action", 0),
     "/joint_commands": ("action.joint", 0),
+    "/observation/state": ("observation.state", 0),
+    "/command/joints": ("action", 0),
+    "/imu": ("imu", 0),
 }
 """Topic -> the dataset feature it carries, and its first column there."""
 
@@ -30,6 +33,7 @@ class Decoder:
 
     def __init__(self, topics: Mapping[str, Series], episode: Episode, m: int, where: Path) -> None:
         self._topics, self._episode, self._m, self._where = topics, episode, m, where
+        self._names: tuple[str, ...] = JOINT_NAMES
 
     @property
     def topics(self) -> Mapping[str, Series]:
@@ -43,7 +47,7 @@ class Decoder:
         commanded = self._array("/ee/commanded", len(STATE[11:]))
         environment = self._array("/observation/environment", len(ENVIRONMENT))
         action = self._array("/command/ee", len(ACTION))
-        (joint_action,) = self._joints("/joint_commands", velocity=False, effort=False)
+        joint_action = self._targets("/joint_commands")
         for topic, values in zip(FRAME_TOPICS, (state, measured, commanded, environment, action, joint_action),
                                  strict=True):
             self._check_finite(topic, values)
@@ -77,12 +81,12 @@ class Decoder:
         series, has = self._series("/joint_states"), list[bool]()
         with reading(series.where, "message 0 on /joint_states"):
             cursor = cdr.Cursor(series.payload(0))
-            _joint_names(cursor)
+            joint_names(cursor)
             for _ in range(3):
                 has.append((width := _count(cursor)) > 0)
                 cursor.floats(width)
         found = iter(self._joints("/joint_states", velocity=has[1], effort=has[2]))
-        return [next(found) if present else np.full((self._m, len(JOINT_NAMES)), np.nan)
+        return [next(found) if present else np.full((self._m, len(self._names)), np.nan)
                 for present in (True, *has[1:])]
 
     def _restorable(self, topic: str) -> Rows:
@@ -91,15 +95,19 @@ class Decoder:
             return self._array(topic)
         return np.zeros((self._m, 0))
 
-    def _joints(self, topic: str, *, velocity: bool, effort: bool) -> list[Rows]:
+    def _targets(self, topic: str) -> Rows:
+        """What joints were sent, shape (m, j)."""
+        return self._joints(topic, velocity=False, effort=False)[0]
+
+    def _joints(self, topic: str, *, velocity: bool, effort: bool, position: bool = True) -> list[Rows]:
         series = self._series(topic)
         with reading(series.where, f"message 0 on {topic}"):
-            names = _joint_names(cdr.Cursor(series.payload(0)))
-        self._check_width(topic, len(names), len(JOINT_NAMES))
-        if names != JOINT_NAMES:
+            names = joint_names(cdr.Cursor(series.payload(0)))
+        self._check_width(topic, len(names), len(self._names))
+        if names != self._names:
             raise refuse(f"{topic} names joints {', '.join(names)}", series.where,
-                         f"record {', '.join(JOINT_NAMES)} in this order")
-        return series.floats(cdr.joint_state(JOINT_NAMES, velocity=velocity, effort=effort), self._m)
+                         f"record {', '.join(self._names)} in this order")
+        return series.floats(cdr.joint_state(names, position=position, velocity=velocity, effort=effort), self._m)
 
     def _array(self, topic: str, width: int | None = None) -> Rows:
         series = self._series(topic)
@@ -160,7 +168,7 @@ class Decoder:
 
     def _shadows(self) -> dict[str, Shadow]:
         ids = [t.split("/")[2] for t in self._topics if t.startswith("/policy/") and t.endswith("/joint_commands")]
-        return {i: Shadow(self._joints(f"/policy/{i}/joint_commands", velocity=False, effort=False)[0],
+        return {i: Shadow(self._targets(f"/policy/{i}/joint_commands"),
                           self._scalars(f"/policy/{i}/disagreement")) for i in ids}
 
     def _signals(self) -> dict[str, Rows]:
@@ -216,7 +224,7 @@ def whole_ticks(topics: Mapping[str, Series], required: tuple[str, ...], episode
     return min(counts.values(), default=0), gap
 
 
-def _joint_names(cursor: cdr.Cursor) -> tuple[str, ...]:
+def joint_names(cursor: cdr.Cursor) -> tuple[str, ...]:
     """Names in a JointState; the cursor stands before its positions afterwards."""
     cursor.stamp()
     cursor.text()

@@ -41,7 +41,9 @@ TOPICS: MappingProxyType[str, Topic] = MappingProxyType({
     # seven numbers therefore also travel as they are.
     "/observation/environment": Topic(_ARRAY, "object x, y, z, yaw and target x, y, z as perceived, exact"),
     "/tf": Topic("tf2_msgs/msg/TFMessage", "true poses in simulation, for the 3D view; frames are the URDF's links"),
-    "/imu": Topic("sensor_msgs/msg/Imu", "where the body has one"),
+    "/imu": Topic("sensor_msgs/msg/Imu", "where the body has one; without a heading of its own"),
+    "/observation/state": Topic(_ARRAY, "legged robots: what the policy is given, exact"),
+    "/command/joints": Topic(_ARRAY, "legged robots: action, shares of each joint's reach in [-1, 1]"),
     "/wrench": Topic("geometry_msgs/msg/WrenchStamped", "where the body has a force sensor"),
     "/touch/<name>": Topic(_FLOAT, "contact force [N]"),
     "/camera/<name>/image/compressed": Topic("sensor_msgs/msg/CompressedImage", "JPEG"),
@@ -60,9 +62,10 @@ TOPICS: MappingProxyType[str, Topic] = MappingProxyType({
 FRAME_TOPICS = ("/joint_states", "/ee/measured", "/ee/commanded", "/observation/environment", "/command/ee",
                 "/joint_commands")
 """Topics that a dataset's features are rebuilt from."""
+LEGGED_TOPICS = ("/joint_states", "/imu", "/observation/state", "/command/joints", "/joint_commands")
+"""Topics without which a recording of a legged robot is of no use."""
 RESTORE_TOPICS = ("/sim/state", "/sim/controller")
 """Topics that a frame is restored from."""
-
 
 
 def every_tick(topic: str) -> bool:
@@ -70,7 +73,7 @@ def every_tick(topic: str) -> bool:
     return topic in _EVERY_TICK or topic.startswith(("/reward/", "/policy/", "/signal/"))
 
 
-_EVERY_TICK = frozenset({*FRAME_TOPICS, *RESTORE_TOPICS, "/tf"})
+_EVERY_TICK = frozenset({*FRAME_TOPICS, *LEGGED_TOPICS, *RESTORE_TOPICS, "/tf"})
 _HEADER = "std_msgs/Header header\n"
 _DEFINITIONS = MappingProxyType({
     "std_msgs/msg/String": "string data\n",

@@ -2,7 +2,7 @@
 
 import logging
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,11 +11,12 @@ import numpy as np
 from pipeline.files import sha256
 from pipeline.frames import Frames
 from pipeline.recording.decode import Decoder, whole_ticks
-from pipeline.recording.dialect import FRAME_TOPICS, RESTORE_TOPICS, every_tick
+from pipeline.recording.dialect import FRAME_TOPICS, LEGGED_TOPICS, RESTORE_TOPICS, every_tick
 from pipeline.recording.errors import DAMAGED, ends_early, reading, refuse
+from pipeline.recording.legged import LeggedDecoder
 from pipeline.recording.live_header import cut_off
 from pipeline.recording.scan import load, scan
-from pipeline.recording.series import Messages, collect
+from pipeline.recording.series import Messages, Series, collect
 from pipeline.recording.strings import attached_files, episode_strings, finished
 from pipeline.recording.summary import read_summary
 from pipeline.trace import Event, Trace
@@ -67,7 +68,7 @@ def read_frames(path: Path, *, accept_truncated: bool = False) -> tuple[Episode,
 
 def read_attachments(path: Path) -> dict[str, bytes]:
     """File name -> content of everything attached: the scene, the config, the URDF, the draws."""
-    return open_recording(path, wanted=FRAME_TOPICS.__contains__, required=FRAME_TOPICS).attachments
+    return open_recording(path, wanted=FRAME_TOPICS.__contains__, required=FRAME_TOPICS, frames=False).attachments
 
 
 def _of_a_trace(topic: str) -> bool:
@@ -75,8 +76,14 @@ def _of_a_trace(topic: str) -> bool:
 
 
 def open_recording(path: Path, *, accept_truncated: bool = False, wanted: Callable[[str], bool] = _of_a_trace,
-                   required: tuple[str, ...] = FRAME_TOPICS + RESTORE_TOPICS) -> Opened:
+                   required: tuple[str, ...] = FRAME_TOPICS + RESTORE_TOPICS, frames: bool = True) -> Opened:
     """Scan, unpack and check a recording; the data are trusted over the summary.
+
+    Args:
+        path, accept_truncated: see read_episode.
+        wanted: which topics are unpacked.
+        required: topics of the reference arm without which it is of no use; a legged robot has its own.
+        frames: whether a recording must hold the frames of a dataset where those of the arm are all that is wanted.
 
     Raises:
         RecordingError: see read_episode.
@@ -96,17 +103,29 @@ def open_recording(path: Path, *, accept_truncated: bool = False, wanted: Callab
     strings = episode_strings(found, path)
     with reading(path, "metadata record 'episode'"):
         episode = Episode.model_validate_json(strings["episode_json"])
-    topics = messages.topics
+    topics, kind = messages.topics, Decoder
+    if episode.scene.legged is not None:
+        kind, required = LeggedDecoder, _of_legs(required, topics, path, frames=frames)
     if not any(topic in topics for topic in RESTORE_TOPICS):  # a real robot: nothing can be restored
         required = tuple(topic for topic in required if topic not in RESTORE_TOPICS)
     ticks, gap = whole_ticks(topics, required, episode, where=path, exact=not accept_truncated)
     lost, planned = lost or gap, episode.frames if ended else None
     if ticks != planned:
-        events = Decoder(topics, episode, ticks, path).events() if planned is None else ()
+        events = kind(topics, episode, ticks, path).events() if planned is None else ()
         episode = _cut(episode, ticks, planned, str(lost), path, events)
     episode = episode.model_copy(update={"blob": sha256(data)})
-    return Opened(episode, Decoder(topics, episode, ticks, path), attached_files(found), strings, lost,
+    return Opened(episode, kind(topics, episode, ticks, path), attached_files(found), strings, lost,
                   planned or ticks + 1)
+
+
+def _of_legs(required: tuple[str, ...], topics: Mapping[str, Series], path: Path, *, frames: bool) -> tuple[str, ...]:
+    """What a legged robot's recording must hold, of what was unpacked; RecordingError where frames are asked of it."""
+    if required != FRAME_TOPICS:
+        return LEGGED_TOPICS + RESTORE_TOPICS
+    if frames:
+        raise refuse("a legged robot's recording has no frames of a dataset: its falls teach by their starts", path,
+                     "hardcase loop --recipe biped; or read it whole: pipeline.recording.read_episode")
+    return tuple(topic for topic in LEGGED_TOPICS if topic in topics)
 
 
 def _count_against_summary(data: bytes, messages: Messages, path: Path) -> None:

@@ -14,10 +14,10 @@ from typing import Literal
 import numpy as np
 
 import pipeline
-from pipeline.frames import ACTION
 from pipeline.protocols import Array
 from pipeline.shadow import wire
 from pipeline.shadow.limits import Limits
+from pipeline.shadow.sizes import ARM, Sizes
 
 type Word = Literal["starting", "running", "late", "broken", "slow", "hung", "crashed", "refused"]
 
@@ -46,19 +46,20 @@ class Candidate:
         file: its ONNX file.
         limits: what it may take.
         patient: whether the clock waits for it.
+        sizes: what it is asked.
     """
 
-    def __init__(self, id: str, file: Path, limits: Limits, *, patient: bool) -> None:
+    def __init__(self, id: str, file: Path, limits: Limits, *, patient: bool, sizes: Sizes = ARM) -> None:
         self.id, self.fence = id, ""
         """What it gave up, as its process says once it is ready."""
         self.word: Word = "starting"
         """What became of it."""
-        self._why, self._limits, self._patient = "", limits, patient
+        self._why, self._limits, self._patient, self._width = "", limits, patient, sizes.action
         self._late = self._lost = self._broken = self._ticks = 0
         self._odd = self._full = False
         """Whether it answered something that is not finite at this tick; whether a question was lost."""
         self._open: dict[int, _Open] = {}
-        self._actions, self._first = np.zeros((0, len(ACTION))), 0
+        self._actions, self._first = np.zeros((0, self._width)), 0
         self._waited_s = 0.0
         self._ending_s: float | None = None
         """Since when its socket is closed."""
@@ -67,7 +68,7 @@ class Candidate:
         self._line, theirs = _pair()
         with theirs:
             try:
-                self._process = _start(file, theirs, limits, idle=not patient)
+                self._process = _start(file, theirs, limits, sizes, idle=not patient)
             except OSError as error:  # no memory, or no process left
                 self._end("crashed", f"it could not be started: {error.strerror}")
 
@@ -89,7 +90,7 @@ class Candidate:
 
     def tick(self, packets: list[tuple[int, slice, bytes]], rows: int) -> None:
         """Ask the questions of one tick, for `rows` attempts in all; what does not fit on the way is lost."""
-        self._actions, self._first = np.full((rows, len(ACTION)), np.nan), packets[0][0] if packets else self._first
+        self._actions, self._first = np.full((rows, self._width), np.nan), packets[0][0] if packets else self._first
         self._odd = self._full = False
         self.hear()
         if self.word in OVER:
@@ -155,7 +156,7 @@ class Candidate:
 
     def _take(self, packet: bytes) -> None:
         try:
-            said = wire.said(packet)
+            said = wire.said(packet, self._width)
             question = self._open.pop(said.number, None) if said.kind in (wire.ANSWER, wire.FAILED) else None
             if said.actions is not None and (question is None or _rows(question.rows) != said.rows):
                 raise ValueError("an answer to no question")
@@ -220,12 +221,14 @@ def _pair() -> tuple[socket.socket, socket.socket]:
     return ours, theirs
 
 
-def _start(file: Path, line: socket.socket, limits: Limits, *, idle: bool) -> "subprocess.Popen[bytes]":
+def _start(file: Path, line: socket.socket, limits: Limits, sizes: Sizes, *,
+           idle: bool) -> "subprocess.Popen[bytes]":
     """A child that gets our code, one socket and a file's name: none of our variables, no terminal."""
     root = str(Path(pipeline.__file__).parents[1])
     environment = {"PYTHONPATH": root, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MALLOC_ARENA_MAX": "1",
                    "PATH": os.environ.get("PATH", os.defpath)}
-    numbers = (line.fileno(), os.getpid(), limits.memory_bytes, limits.cpu_s, int(idle))
+    numbers = (line.fileno(), os.getpid(), limits.memory_bytes, limits.cpu_s, int(idle), sizes.kind, sizes.state,
+               sizes.environment)
     command = [sys.executable, "-P", "-m", "pipeline.shadow.child", *map(str, numbers), str(file.absolute())]
     return subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
                             env=environment, start_new_session=True, pass_fds=(line.fileno(),))

@@ -1,22 +1,18 @@
 """The candidate's side of candidate.py: loads one policy file behind the fence, then answers questions.
 
-Run: python -P -m pipeline.shadow.child SOCKET PARENT MEMORY_BYTES CPU_S IDLE FILE
+Run: python -P -m pipeline.shadow.child SOCKET PARENT MEMORY_BYTES CPU_S IDLE KIND STATE ENVIRONMENT FILE
 """
 
 import socket
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pipeline.errors import PolicyError, one_line
-from pipeline.frames import ENVIRONMENT, STATE
-from pipeline.protocols import Observation
+from pipeline.protocols import Observation, Policy
 from pipeline.shadow import fence, wire
-
-if TYPE_CHECKING:
-    from pipeline.policies.onnx_policy import OnnxPolicy
 
 WARM_UP = 3
 """Answers to nobody before the first question: the runtime lays out its memory at the first."""
@@ -24,17 +20,16 @@ WARM_UP = 3
 
 def main() -> None:
     """Answer questions until the control loop is gone."""
-    number, parent, memory_bytes, cpu_s, idle, file = sys.argv[1:]
+    number, parent, memory_bytes, cpu_s, idle, kind, state, environment, file = sys.argv[1:]
     fence.die_with(int(parent))
     fence.step_back(idle=idle == "1")
     fence.drop_rights()
-    from pipeline.policies import onnx_policy  # the runtime starts a thread, which shall have no rights either
-
+    opened = _opener(kind)  # the runtime starts a thread, which shall have no rights either
     with socket.socket(fileno=int(number)) as line:
         fence.limit(int(memory_bytes), float(cpu_s))
         fence.enclose(reading=True)
         try:
-            policy = _warm(onnx_policy.OnnxPolicy(Path(file)))
+            policy = _warm(opened(Path(file)), int(state), int(environment))
         except (PolicyError, MemoryError) as error:
             line.send(wire.word(wire.REFUSED, _why(error, int(memory_bytes))))
             return
@@ -44,14 +39,26 @@ def main() -> None:
         _serve(policy, line, int(memory_bytes))
 
 
-def _warm(policy: "OnnxPolicy") -> "OnnxPolicy":
-    seen = Observation(np.zeros((1, len(STATE))), np.zeros((1, len(ENVIRONMENT))))
+def _opener(kind: str) -> Callable[[Path], Policy]:
+    """How a file of this kind is opened; its libraries are loaded now, before the fence."""
+    if kind == "ppo":
+        from pipeline.ppo.policy import LeggedPolicy
+
+        return LeggedPolicy
+    from pipeline.policies.onnx_policy import OnnxPolicy
+
+    return OnnxPolicy
+
+
+def _warm(policy: Policy, state: int, environment: int) -> Policy:
+    seen = Observation(np.zeros((1, state)), np.zeros((1, environment)))
     for _ in range(WARM_UP):
-        policy.chunks(seen)
+        policy.reset(1)
+        policy.act(seen, np.arange(1))
     return policy
 
 
-def _serve(policy: "OnnxPolicy", line: socket.socket, memory_bytes: int) -> None:
+def _serve(policy: Policy, line: socket.socket, memory_bytes: int) -> None:
     epoch, expected = -1, -1
     while packet := line.recv(wire.MAX_PACKET):
         asked = wire.asked(packet)

@@ -11,6 +11,7 @@ from pipeline.protocols import Array, Ids, Observation
 from pipeline.shadow import wire
 from pipeline.shadow.candidate import OVER, Candidate
 from pipeline.shadow.limits import Limits
+from pipeline.shadow.sizes import ARM, Sizes
 
 LOOK_S = 0.25
 """How often a clock that waits looks whether a candidate has been silent for too long [s]."""
@@ -28,16 +29,18 @@ class Riders:
         limits: of each.
         patient: whether the clock waits for answers, as it can in simulation; then the same candidates give the same
             bits every time. Without, an answer that is not there when it is asked for is late.
+        sizes: what they are asked; of the reference arm where not given.
     """
 
-    def __init__(self, candidates: Mapping[str, Path], limits: Limits | None = None, *, patient: bool) -> None:
+    def __init__(self, candidates: Mapping[str, Path], limits: Limits | None = None, *, patient: bool,
+                 sizes: Sizes = ARM) -> None:
         limits = limits or Limits()
         self._patient, self._epoch, self._attempts, self._number = patient, 0, 0, 0
         self._told: dict[str, str] = dict.fromkeys(candidates, "running")
         self._all: list[Candidate] = []
         try:
             for id, file in candidates.items():
-                self._all.append(Candidate(id, file, limits, patient=patient))
+                self._all.append(Candidate(id, file, limits, patient=patient, sizes=sizes))
         except BaseException:
             self.close()
             raise
@@ -58,8 +61,9 @@ class Riders:
     def offer(self, observation: Observation, ids: Ids) -> None:
         """Show all candidates what attempts `ids` perceive at this tick; never waits."""
         packets: list[tuple[int, slice, bytes]] = []
-        for first in range(0, len(ids), wire.MAX_ROWS):
-            place = slice(first, min(first + wire.MAX_ROWS, len(ids)))
+        most = wire.rows_at_once(observation.state.shape[1] + observation.environment.shape[1])
+        for first in range(0, len(ids), most):
+            place = slice(first, min(first + most, len(ids)))
             part = Observation(observation.state[place], observation.environment[place])
             packet = wire.question(self._epoch, self._attempts, self._number, ids[place], part)
             packets.append((self._number, place, packet))
@@ -68,7 +72,7 @@ class Riders:
             candidate.tick(packets, len(ids))
 
     def answers(self) -> Mapping[str, Array]:
-        """Candidate -> its actions (len(ids), 5) for what was offered last.
+        """Candidate -> its actions (len(ids), width) for what was offered last.
 
         Every candidate is in it; rows are NaN, whole, where it is silent, late or broken.
         """

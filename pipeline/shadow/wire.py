@@ -18,17 +18,22 @@ READY, REFUSED, ANSWER, FAILED = range(1, 5)
 """Kinds of what a candidate says."""
 
 MAX_ROWS = 256
-"""Attempts in one packet: a socket's buffer (208 KiB by default) holds several ticks of them."""
+"""Attempts of the reference arm in one packet: a socket's buffer (208 KiB by default) holds several ticks of them."""
 MAX_TEXT = 300
 """Longest reason that a candidate may give [B]."""
 
-_QUESTION = struct.Struct("<IIIQ")
-"""epoch, attempts, rows, number; then ids as int32, state and environment as float32, row by row."""
+_QUESTION = struct.Struct("<IIIQHH")
+"""epoch, attempts, rows, number, widths of state and environment; then ids as int32, both as float32, row by row."""
 _ANSWER = struct.Struct("<BxxxIQ")
 """kind, rows, number; then the actions as float64, row by row, or a text."""
 _WIDTH = len(STATE) + len(ENVIRONMENT)
 MAX_PACKET = _QUESTION.size + MAX_ROWS * 4 * (1 + _WIDTH)
 """Longest packet of either side [B]."""
+
+
+def rows_at_once(width: int) -> int:
+    """Attempts in one packet where a robot perceives `width` values: as many bytes as of the arm."""
+    return max(1, min(MAX_ROWS, MAX_ROWS * (1 + _WIDTH) // (1 + width)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +60,7 @@ class Said:
     """Of the question."""
     rows: int
     actions: Array | None = None
-    """Shape (rows, 5), for ANSWER."""
+    """Shape (rows, width), for ANSWER."""
     text: str = ""
     """For the other kinds."""
 
@@ -64,21 +69,23 @@ def question(epoch: int, attempts: int, number: int, ids: Ids, observation: Obse
     """A packet that asks; float32, because that is what every policy of ours is given."""
     rows = len(ids)
     values = np.concatenate([observation.state, observation.environment], axis=1, dtype=np.float32, casting="same_kind")
-    return b"".join((_QUESTION.pack(epoch, attempts, rows, number), ids.astype("<i4").tobytes(),
+    widths = observation.state.shape[1], observation.environment.shape[1]
+    return b"".join((_QUESTION.pack(epoch, attempts, rows, number, *widths), ids.astype("<i4").tobytes(),
                      values.astype("<f4", copy=False).tobytes()))
 
 
 def asked(packet: bytes) -> Question:
     """A question as it was packed."""
-    epoch, attempts, rows, number = _QUESTION.unpack_from(packet)
+    epoch, attempts, rows, number, first, second = _QUESTION.unpack_from(packet)
+    width = first + second
     ids = np.frombuffer(packet, "<i4", rows, _QUESTION.size).astype(np.intp)
-    values = np.frombuffer(packet, "<f4", rows * _WIDTH, _QUESTION.size + 4 * rows).reshape(rows, _WIDTH)
-    state, environment = (part.astype(np.float64) for part in np.split(values, [len(STATE)], axis=1))
+    values = np.frombuffer(packet, "<f4", rows * width, _QUESTION.size + 4 * rows).reshape(rows, width)
+    state, environment = (part.astype(np.float64) for part in np.split(values, [first], axis=1))
     return Question(epoch, attempts, number, ids, Observation(state, environment))
 
 
 def answer(number: int, actions: NDArray[np.float64]) -> bytes:
-    """A packet with the actions (rows, 5) for one question."""
+    """A packet with the actions (rows, width) for one question."""
     return _ANSWER.pack(ANSWER, len(actions), number) + actions.astype("<f8").tobytes()
 
 
@@ -87,17 +94,22 @@ def word(kind: int, text: str = "", number: int = 0) -> bytes:
     return _ANSWER.pack(kind, 0, number) + text.encode("ascii", "replace")[:MAX_TEXT]
 
 
-def said(packet: bytes) -> Said:
-    """What a candidate said; ValueError where it keeps to no layout: its process may have been taken over."""
+def said(packet: bytes, width: int = len(ACTION)) -> Said:
+    """What a candidate said; ValueError where it keeps to no layout: its process may have been taken over.
+
+    Args:
+        packet: as it came.
+        width: of an action.
+    """
     try:
         kind, rows, number = _ANSWER.unpack_from(packet)
     except struct.error as error:
         raise ValueError(f"{len(packet)} B are no packet") from error
     body: Any = memoryview(packet)[_ANSWER.size:]
     if kind == ANSWER:
-        if len(body) != 8 * rows * len(ACTION):
+        if len(body) != 8 * rows * width:
             raise ValueError(f"{len(body)} B for {rows} actions")
-        return Said(kind, number, rows, np.frombuffer(body, "<f8").reshape(rows, len(ACTION)))
+        return Said(kind, number, rows, np.frombuffer(body, "<f8").reshape(rows, width))
     if kind not in (READY, REFUSED, FAILED) or len(body) > MAX_TEXT:
         raise ValueError(f"kind {kind} with {len(body)} B")
     text = bytes(body).decode("ascii", "replace")

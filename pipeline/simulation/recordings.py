@@ -6,10 +6,10 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Protocol
 
 from pipeline.files import short_id
 from pipeline.recording import Recording, write_episodes
-from pipeline.simulation.model import Setup
 from pipeline.simulation.urdf import robot_urdf
 from pipeline.trace import Trace
 from schemas.episode import Episode, Origin
@@ -24,12 +24,40 @@ class Recorded:
     path: Path
 
 
+class Rooted(Protocol):
+    """A robot's body."""
+
+    @property
+    def root(self) -> str:
+        """The body that becomes the root of its URDF."""
+        ...
+
+
+class Recordable(Protocol):
+    """Robot and scene: a Setup, or a LeggedSetup."""
+
+    @property
+    def body(self) -> Rooted:
+        """The robot."""
+        ...
+
+    @property
+    def model(self) -> Any:
+        """A mujoco.MjModel."""
+        ...
+
+    @property
+    def xml(self) -> str:
+        """MJCF of the model."""
+        ...
+
+
 def episode_id(origin: Origin, scene: SceneSpec, *causes: object) -> str:
     """Id of a simulated episode: it follows from its causes, never from the clock."""
     return short_id("episode", origin, scene.model_dump_json(), *causes)
 
 
-def record(folder: Path, setup: Setup, episodes: Sequence[Episode], traces: Sequence[Trace], *,
+def record(folder: Path, setup: Recordable, episodes: Sequence[Episode], traces: Sequence[Trace], *,
            config: Mapping[str, object], software: Mapping[str, str]) -> list[Recorded]:
     """Write one MCAP file an episode and return the episodes with the hash of their file as blob.
 
@@ -41,7 +69,8 @@ def record(folder: Path, setup: Setup, episodes: Sequence[Episode], traces: Sequ
         config: thresholds and sizes that were in force, attached as JSON.
         software: strings for the metadata record.
     """
-    fixed = {"scene.xml": setup.xml.encode(), "robot.urdf": robot_urdf(setup.model, setup.body.root, "arm").encode(),
+    name = episodes[0].scene.robot if episodes else ""
+    fixed = {"scene.xml": setup.xml.encode(), "robot.urdf": robot_urdf(setup.model, setup.body.root, name).encode(),
              "config.json": json.dumps(dict(config), sort_keys=True).encode()}
     items = [Recording(folder / f"{e.id}.mcap", e, t,
                        {**fixed, "randomization.json": json.dumps([d.model_dump() for d in e.scene.draws]).encode()},

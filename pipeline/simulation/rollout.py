@@ -1,14 +1,56 @@
-"""Rollout: drive a World with a policy until every attempt has ended; finished ones leave the Batch."""
+"""Rollout: drive robots with a policy until every attempt has ended; finished ones leave the Batch."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.protocols import Array, Ids, Observation, Policy
 from pipeline.simulation.tracing import Tracer
-from pipeline.simulation.world import World
+
+
+class Task(Protocol):
+    """What an attempt at any task has."""
+
+    @property
+    def ticks(self) -> int:
+        """Longest attempt [ticks]."""
+        ...
+
+    @property
+    def weights(self) -> Mapping[str, float]:
+        """Reward term -> its weight."""
+        ...
+
+
+class Playing(Protocol):
+    """n simulated robots side by side: a World, or LeggedRobots."""
+
+    n: int
+
+    @property
+    def task(self) -> Task:
+        """What they are to do."""
+        ...
+
+    def observe(self, ids: Ids) -> Observation:
+        """What they perceive now."""
+        ...
+
+    def act(self, action: Array, ids: Ids) -> None:
+        """Send actions and let one control period pass."""
+        ...
+
+    def succeeded(self, ids: Ids) -> NDArray[np.bool_]:
+        """Truth, shape (len(ids),)."""
+        ...
+
+    def rewards(self, ids: Ids) -> dict[str, Array]:
+        """Reward terms of the tick just passed, each (len(ids),)."""
+        ...
+
 
 type Watch = Callable[[int, Ids, Observation, Array], NDArray[np.bool_]]
 """(tick, ids, observation, action sent) -> attempts that end now, shape (len(ids),)."""
@@ -26,10 +68,10 @@ class Result:
     """Reward term -> mean over the attempts still running at each tick, shape (horizon,)."""
 
 
-def rollout(world: World, policy: Policy, *, ids: Ids | None = None, horizon: int | None = None,
+def rollout(world: Playing, policy: Policy, *, ids: Ids | None = None, horizon: int | None = None,
             watch: Watch | None = None, tracer: Tracer | None = None, until_success: bool = True,
             with_rewards: bool = False) -> Result:
-    """Run every attempt of `world` to its end.
+    """Run every attempt to its end.
 
     Args:
         world: attempts at their start, or restored.

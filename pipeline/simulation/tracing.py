@@ -4,12 +4,52 @@
 # pyright: reportMissingTypeStubs=false, reportAttributeAccessIssue=false, reportUnknownMemberType=false
 # pyright: reportUnknownVariableType=false, reportUnknownParameterType=false, reportUnknownArgumentType=false
 
+from typing import Any, Protocol
+
 import mujoco
 import numpy as np
 
 from pipeline.protocols import Array, Ids, Observation, Policy
-from pipeline.simulation.world import World
 from pipeline.trace import Event, Shadow, Trace
+
+
+class Modelled(Protocol):
+    """A compiled robot and scene."""
+
+    @property
+    def model(self) -> Any:
+        """A mujoco.MjModel."""
+        ...
+
+
+class Traced(Protocol):
+    """n simulated robots side by side of which everything is known: a World, or LeggedRobots."""
+
+    n: int
+    control_hz: float
+    batch: Any
+    efforts: Any
+
+    @property
+    def setup(self) -> Modelled:
+        """What is simulated."""
+        ...
+
+    def save(self, ids: Ids) -> tuple[Array, Array]:
+        """State rows: the engine's and the controller's."""
+        ...
+
+    def speeds(self, ids: Ids) -> Array:
+        """Joint speeds, shape (len(ids), j)."""
+        ...
+
+    def sent(self, ids: Ids) -> Array:
+        """What the joints were sent last, shape (len(ids), j)."""
+        ...
+
+    def rewards(self, ids: Ids) -> dict[str, Array]:
+        """Reward terms of the tick just passed, each (len(ids),)."""
+        ...
 
 
 class Tracer:
@@ -17,9 +57,12 @@ class Tracer:
 
     Args:
         world: the attempts; its engine computes body poses once a tick more.
+        joints: names of the joints, of a robot that is not the reference arm.
+        torque: whether what those are sent are torques.
     """
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: Traced, *, joints: tuple[str, ...] = (), torque: bool = False) -> None:
+        self._joints, self._torque = joints, torque
         self._world, model = world, world.setup.model
         self._bodies = np.array([i for i in range(1, model.nbody) if model.body(i).name != "target"])
         self.links = tuple(model.body(i).name for i in self._bodies)
@@ -83,4 +126,5 @@ class Tracer:
             phase = self.phases[attempt].get(tick, phase)
             named.append(phase)
         return Trace(hz=self._world.control_hz, links=self.links, phase=tuple(named), reward=rewards,
-                     shadows=shadows, events=tuple(self.events[attempt]), signals=signals, **table)
+                     shadows=shadows, events=tuple(self.events[attempt]), signals=signals, joints=self._joints,
+                     torque=self._torque, **table)
