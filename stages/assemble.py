@@ -1,6 +1,5 @@
 """Assemble: kinds of start and the starts of falls become a curriculum: an immutable dataset version of starts."""
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -96,9 +95,9 @@ def _split(cases: Sequence[HardCase], config: RlConfig) -> tuple[list[HardCase],
 def _weighted(cases: Sequence[HardCase], config: RlConfig, generation: int) -> tuple[HardStart, ...]:
     """The starts with their weights: younger ones weigh more, and no frequent family crowds out a rare one."""
     age = [config.recency ** (generation - 1 - c.generation) for c in cases]
-    total = Counter[str]()
+    total: dict[str, float] = {}
     for case, weight in zip(cases, age, strict=True):
-        total[case.family] += weight
+        total[case.family] = total.get(case.family, 0.0) + weight
     even = config.families == "even"
     return tuple(_hard(c, w / total[c.family] if even else w) for c, w in zip(cases, age, strict=True))
 

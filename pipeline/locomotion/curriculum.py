@@ -71,9 +71,9 @@ class StartSource:
         rng = np.random.default_rng([seed, CHOOSES])
         hard, which = rng.uniform(size=2)
         if hard < self._curriculum.hard_share:
-            found = self._hard[int(np.searchsorted(self._hard_edges, which, "right"))]
+            found = self._hard[_part(self._hard_edges, which)]
             return pushed(spread_about(found, self._curriculum.spread, rng), self._task, seed)
-        kind = self._kinds[int(np.searchsorted(self._kind_edges, which, "right"))]
+        kind = self._kinds[_part(self._kind_edges, which)]
         return draw_start(self._task, self._body, kind, seed)
 
 
@@ -106,3 +106,8 @@ def _leant(quaternion: Array, lean: Array) -> Array:
 def _edges(weights: list[float]) -> Array:
     """Upper limits of each one's part of [0, 1), without the last."""
     return np.cumsum(weights)[:-1] / sum(weights) if weights else np.zeros(0)
+
+
+def _part(edges: Array, at: float) -> int:
+    """Whose part a number in [0, 1) lies in."""
+    return int((edges <= at).sum())

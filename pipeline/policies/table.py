@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol
 
 from pipeline.consent import Consents
-from pipeline.errors import ConfigError, unknown
+from pipeline.errors import unknown
 from pipeline.policies.source import TrainingSource
 from pipeline.protocols import Policy
 from schemas.recipe import TrainConfig
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from pipeline.lerobot_view.samples import Samples
     from pipeline.policies.act_training import FittedAct
     from pipeline.policies.training import Fitted
+    from pipeline.ppo.fitting import FittedPpo, LessonFrom
 
 type Progress = Callable[[int, int, float], None]
 """Called as (steps done, steps in all, last training loss)."""
@@ -117,10 +118,30 @@ def _open_act(path: Path) -> Policy:
     return ActOnnx(path)
 
 
-def _not_from_a_version(*args: Any, **kwargs: Any) -> Any:
-    del args, kwargs
-    raise ConfigError("policy ppo does not learn from a dataset version: it learns by trying", where="policy ppo",
-                      mend="hardcase rl train --body BODY --task TASK")
+def _load_ppo(folder: Path, consents: Consents) -> "LessonFrom":
+    from pipeline.locomotion.lesson import Lesson
+    from pipeline.ppo.fitting import LessonFrom
+
+    return LessonFrom(Lesson.load(folder, consents))
+
+
+def _fit_ppo(data: "LessonFrom", config: TrainConfig, seed: int, *, resume_from: Path | None,
+             checkpoints: Path | None, progress: Progress | None) -> "FittedPpo":
+    from pipeline.ppo.fitting import fit_ppo
+
+    return fit_ppo(data, config, seed, resume_from=resume_from, checkpoints=checkpoints, progress=progress)
+
+
+def _write_ppo(folder: Path, fitted: "FittedPpo", config: TrainConfig) -> None:
+    from pipeline.ppo.fitting import write_ppo
+
+    write_ppo(folder, fitted, config)
+
+
+def _export_ppo(fitted: "FittedPpo", path: Path) -> float:
+    from pipeline.ppo.fitting import export_ppo
+
+    return export_ppo(fitted, path)
 
 
 def _open_ppo(path: Path) -> Policy:
@@ -140,10 +161,11 @@ POLICIES: Mapping[str, PolicyKind] = MappingProxyType({
         "policies/act_checkpoint.py", "policies/act_export.py", "policies/act_net.py", "policies/act_training.py",
         "policies/course.py", "policies/ensembling.py", "policies/export.py", "policies/network.py",
         "policies/optimiser.py", "policies/training.py"), sees=True),
-    "ppo": PolicyKind(_not_from_a_version, _not_from_a_version, _not_from_a_version, _not_from_a_version, _open_ppo, (
-        "locomotion/attempts.py", "locomotion/rewards.py", "locomotion/starts.py", "locomotion/tasks.py",
-        "locomotion/world.py", "ppo/config.py", "ppo/export.py", "ppo/model.py", "ppo/normaliser.py",
-        "ppo/training.py", "ppo/vec_env.py")),
+    "ppo": PolicyKind(_load_ppo, _fit_ppo, _write_ppo, _export_ppo, _open_ppo, (
+        "locomotion/attempts.py", "locomotion/biped.py", "locomotion/curriculum.py", "locomotion/lesson.py",
+        "locomotion/rewards.py", "locomotion/starts.py", "locomotion/tasks.py", "locomotion/world.py",
+        "ppo/checkpoint.py", "ppo/config.py", "ppo/export.py", "ppo/fitting.py", "ppo/model.py", "ppo/normaliser.py",
+        "ppo/training.py", "ppo/vec_env.py", "ppo/weights.py")),
 })
 
 
