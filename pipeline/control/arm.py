@@ -49,7 +49,7 @@ class ArmPlant:
     def __init__(self, reaches: Sequence[Reach], *, threads: int = 1) -> None:
         setup = compose(load_body("arm"), "table")
         model, body, n = setup.model, setup.body, len(reaches)
-        self.setup, self.n = setup, n
+        self.setup, self.n, self.threads = setup, n, threads
         self.clock_hz = float(1 / model.opt.timestep)
         self.goals: Array = np.array([r.goal for r in reaches], np.float64).reshape(n, 4)
         """x, y, z [m] and yaw [rad] where each hand is to be, shape (n, 4)."""
@@ -75,6 +75,10 @@ class ArmPlant:
         self._line = np.repeat(self._ctrl[:, None, :6], int(self._delay.max()) + 1, axis=1)
         self.effort: Array = np.zeros(n)
         """Mean squared share of the joints' largest torques, over the steps of the last action, shape (n,)."""
+
+    def rest(self) -> Array:
+        """The action that keeps the posture of rest, shape (n, 6)."""
+        return np.repeat(self.home[None], self.n, axis=0)
 
     def _load(self, payload_kg: Array) -> None:
         """Give each hand more mass, whose weight nobody compensates."""

@@ -28,7 +28,7 @@ class SamplingConfig(Frozen):
         return max(1, round(self.horizon_s / self.step_s))
 
 
-LEGGED_SAMPLING = SamplingConfig(samples=32, horizon_s=0.4, knots=2, plan_hz=25, step_s=0.02, noise=0.4, narrowest=0.1)
+LEGGED_SAMPLING = SamplingConfig(samples=16, horizon_s=0.6, knots=2, plan_hz=50, step_s=0.02, noise=0.5, narrowest=0.1)
 """Numbers of the biped."""
 
 

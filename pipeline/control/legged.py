@@ -40,10 +40,14 @@ class LeggedPlant:
     """
 
     def __init__(self, body: LeggedBody, task: LeggedTask, starts: Sequence[Start], *, threads: int = 1) -> None:
-        self.body, self.task, self.n = body, task, len(starts)
+        self.body, self.task, self.n, self.threads = body, task, len(starts), threads
         self.world = LeggedWorld(body, at_every_step(task), self.n, threads=threads)
         self.clock_hz = self.world.task.control_hz
         self.world.restart(np.arange(self.n), starts)
+
+    def rest(self) -> Array:
+        """The action that asks nothing of any joint, shape (n, joints)."""
+        return np.zeros((self.n, self.world.action_size))
 
     def sense(self) -> LeggedSensed:
         """What the robots sense, where they are, and all of the state."""
