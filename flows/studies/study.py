@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.table import Table
 
 from flows.run.arms import ARMS, LOOP, arm_of
 from flows.run.opening import FIRST_HELD_OUT_TWIN
@@ -24,7 +25,7 @@ WORKERS = 2
 
 
 def run_study(*, seeds: int, recipe: str, json: Path | None, arms: Sequence[str] = (),
-              first: int = 0) -> dict[str, Any]:
+              first: int = 0, worth_scenes: int | None = None) -> dict[str, Any]:
     """Run every arm for every seed, print the pooled table, and hand back everything.
 
     Finished seeds are kept beside the store, so that an interrupted study goes on where it was.
@@ -36,6 +37,7 @@ def run_study(*, seeds: int, recipe: str, json: Path | None, arms: Sequence[str]
         arms: control arms to run beside the loop, "loop" alone for none; every one that the recipe has a use for
             where none is named.
         first: number of the first seed.
+        worth_scenes: that each training of the last batch's verdict plays; as many as ever where None.
 
     Raises:
         ConfigError: an unknown arm, or a seed that was finished with other arms.
@@ -50,14 +52,17 @@ def run_study(*, seeds: int, recipe: str, json: Path | None, arms: Sequence[str]
     console, results = Console(stderr=True), {}
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     with ProcessPoolExecutor(WORKERS, mp_context=get_context("spawn")) as workers:
-        jobs = {workers.submit(study_seed, k, loaded, folder, names): k for k in range(first, first + seeds)}
+        jobs = {workers.submit(_seed_and_worth, k, loaded, folder, names, worth_scenes): k
+                for k in range(first, first + seeds)}
         for job in as_completed(jobs):
             results[jobs[job]] = job.result()
             console.print(f"seed {jobs[job]} finished, {len(results)} of {seeds}")
-    found = [results[k] for k in sorted(results)]
+    found = [results[k][0] for k in sorted(results)]
+    worths = [results[k][1] for k in sorted(results)]
     pooled = pool(found, loaded)
     Console().print(tables(pooled))
-    everything = {"recipe": loaded.name, "seeds": found, "pooled": pooled}
+    Console().print(worth_table(worths))
+    everything = {"recipe": loaded.name, "seeds": found, "pooled": pooled, "worths": worths}
     if json is not None:
         with atomic(json) as stream:
             stream.write(jsonlib.dumps(everything, indent=1).encode() + b"\n")
@@ -92,6 +97,50 @@ def study_seed(seed: int, recipe: Recipe, folder: Path, names: Sequence[str]) ->
     with atomic(done) as stream:
         stream.write(jsonlib.dumps(result).encode())
     return result
+
+
+def _seed_and_worth(seed: int, recipe: Recipe, folder: Path, names: Sequence[str],
+                    scenes: int | None) -> tuple[dict[str, Any], Any]:
+    return study_seed(seed, recipe, folder, names), full_worth(seed, recipe, folder, scenes)
+
+
+def full_worth(seed: int, recipe: Recipe, folder: Path, scenes: int | None = None) -> dict[str, Any] | None:
+    """What the last batch of a finished loop is worth by 8 + 8 trainings, of which a loop makes only one.
+
+    None where no lap added anything, or where the policy is of a kind whose batches are not judged.
+    """
+    from flows.run.steps import open_run
+    from flows.run.worth import judge
+    from flows.run.worth_batch import of_lap
+    from stages.worth import SCENES
+
+    done = folder / f"worth-{seed}.json"
+    if done.exists():
+        return jsonlib.loads(done.read_text())
+    if recipe.train.policy != "chunked":
+        return None
+    alone = recipe.model_copy(update={"threads": 1})
+    with open_run(folder / f"store-{seed}", alone, seed=seed, twin=FIRST_HELD_OUT_TWIN + seed, control=False) as loop:
+        laps = ((g, of_lap(loop, g)) for g in range(recipe.generations, 0, -1))
+        lap, batch = next(((g, b) for g, b in laps if b is not None), (0, None))
+        if batch is None:
+            return None
+        verdict = judge(loop.store, batch, scenes=scenes or SCENES, processes=1)
+        result = {"seed": seed, "lap": lap, "worth": verdict.model_dump(mode="json")}
+    with atomic(done) as stream:
+        stream.write(jsonlib.dumps(result).encode())
+    return result
+
+
+def worth_table(worths: Sequence[dict[str, Any] | None]) -> Table:
+    """Verdicts on the last batches for people."""
+    shown = Table("seed", "lap", "episodes", "verdict", "why", title="The last batch of each loop, with it against "
+                  "without it, 8 + 8 trainings")
+    for one in filter(None, worths):
+        verdict = one["worth"]
+        shown.add_row(str(one["seed"]), str(one["lap"]), str(len(verdict["episodes"])), verdict["decision"],
+                      verdict["reason"])
+    return shown
 
 
 def turn(steps: Any, last: int) -> None:

@@ -47,7 +47,7 @@ def test_an_episode_is_drawn_with_robot_plots_and_lanes(shelf):
             browser.close()
     finally:
         process.send_signal(signal.SIGINT)
-        assert process.wait(30) == 0
+        assert process.wait(240) == 0
     assert near(image, (204, 194, 178)) > 10_000, "the table"
     assert near(image, (212, 56, 61), 60) > 100, "the cube"
     assert near(image, (251, 146, 60), 40) > 300, "curves of commands"

@@ -39,7 +39,7 @@ class CountingLoop:
 
     def run(self, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
         process = self.start(*arguments, **environment)
-        out, err = process.communicate(timeout=120)
+        out, err = process.communicate(timeout=240)
         return subprocess.CompletedProcess(process.args, process.returncode, out, err)
 
     def lines(self) -> list[str]:
@@ -156,7 +156,7 @@ def hardcase(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
             cwd=cwd,
             capture_output=True,
             text=True,
-            timeout=120,
+            timeout=240,
         )
 
     return call

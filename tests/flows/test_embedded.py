@@ -28,7 +28,7 @@ def test_a_server_of_the_users_is_used_and_none_started(counting, tmp_path, free
         process = counting.start("loop", "--recipe", "smoke", PREFECT_API_URL=service.url, COUNTING_SLEEP_S="0.2")
         counting.wait_for("begin 0 augment")
         assert counting.servers() == []
-        process.communicate(timeout=60)
+        process.communicate(timeout=240)
     assert process.returncode == 0
     runs = sqlite3.connect(tmp_path / "own/prefect.db")
     assert runs.execute("SELECT state_name FROM flow_run WHERE NOT auto_scheduled").fetchall() == [("Completed",)]

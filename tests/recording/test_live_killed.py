@@ -26,7 +26,7 @@ def kill(folder: Path, number: int, after: int, rest_s: float) -> int:
     child = subprocess.Popen(
         [sys.executable, str(CHILD), str(folder / f"{number}.mcap"), str(ticks), str(number)],
         env=os.environ | {"PYTHONPATH": str(Path.cwd()), "OMP_NUM_THREADS": "1"}, stderr=subprocess.PIPE)
-    until = time.monotonic() + 60
+    until = time.monotonic() + 240
     while struct.unpack("<q", ticks.read_bytes())[0] < after and time.monotonic() < until and child.poll() is None:
         time.sleep(0.005)
     time.sleep(rest_s)

@@ -125,7 +125,7 @@ def test_a_writer_killed_in_the_middle_loses_only_what_it_had_not_written(tmp_pa
         child = subprocess.Popen([sys.executable, "-c", WRITER, str(folder), str(Path(__file__).parent)],
                                  stdout=subprocess.PIPE, env=os.environ | {"PYTHONPATH": str(Path.cwd())})
         assert child.stdout and child.stdout.readline() == b"ready\n"
-        until = time.monotonic() + 20
+        until = time.monotonic() + 240
         while time.monotonic() < until:
             sizes = [entry.stat().st_size for entry in folder.glob("*.part")]
             if any(size > 500_000 * (attempt + 1) for size in sizes):

@@ -120,7 +120,7 @@ def test_a_terminal_that_goes_away_ends_the_attempt_and_it_is_kept(terminal, sto
     child.press("\r")
     child.wait_for("1.0 s YOU")
     child.hang_up()
-    child.process.wait(20)
+    child.process.wait(240)
     (episode,) = store.episodes()
     assert episode.outcome.reason == "cut off: the terminal is gone" and episode.frames >= 20
     assert read_episode(store.blob(episode.blob))[0] == episode

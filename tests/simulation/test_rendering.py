@@ -91,7 +91,7 @@ def elsewhere(script: str, **environment: str) -> subprocess.CompletedProcess[st
     """A process of its own: one process can bind OpenGL once only."""
     clean = {k: v for k, v in os.environ.items() if k not in ("MUJOCO_GL", "PYOPENGL_PLATFORM")}
     return subprocess.run([sys.executable, "-c", script], env=clean | {"PYTHONPATH": str(ROOT)} | environment,
-                          capture_output=True, text=True, timeout=60, check=False)
+                          capture_output=True, text=True, timeout=240, check=False)
 
 
 RENDER = f"""

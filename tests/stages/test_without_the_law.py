@@ -25,7 +25,7 @@ def lawless(tmp_path_factory):
 
     def call(*arguments: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run([sys.executable, "-m", "flows.cli", *arguments],
-                              env=environment, cwd=copy, capture_output=True, text=True, timeout=120)
+                              env=environment, cwd=copy, capture_output=True, text=True, timeout=240)
 
     return call
 
