@@ -34,6 +34,8 @@ class LeggedBody:
     """'position': an action moves the servos' targets around home; 'torque': it is a share of each motor's limit."""
     scale: float
     """What an action of 1 is: radians for servos, a share of the limit for torques."""
+    rest: tuple[float, ...] | None = None
+    """Torques that an action of 0 asks for [N m]; none where None. Of bodies under torque control."""
 
 
 def add_touch(spec: mujoco.MjSpec, feet: tuple[str, ...], size_m: float = 0.3) -> None:

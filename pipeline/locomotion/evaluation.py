@@ -77,7 +77,7 @@ def evaluate(act: Act, body: LeggedBody, task: LeggedTask, *, n: int = 200, seed
 
 
 def zero_action(joints: int) -> Act:
-    """Asks nothing of any joint: servos hold home, motors are slack."""
+    """Asks nothing of any joint: servos hold home, motors give their torques of rest."""
     return lambda sensed: np.zeros((len(sensed), joints))
 
 

@@ -5,6 +5,7 @@
 # pyright: reportUnknownVariableType=false, reportUnknownParameterType=false, reportUnknownArgumentType=false
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -12,10 +13,13 @@ import numpy as np
 
 from pipeline.errors import SimulationError, one_line
 from pipeline.locomotion.body import Control, LeggedBody, add_touch
+from pipeline.locomotion.torque import damp, holding_torques
 from pipeline.protocols import Array
 
 H1_HOME: Mapping[str, float] = {"hip_pitch": -0.4, "knee": 0.8, "ankle": -0.4, "elbow": 0.5}
 """Joint name ends -> angle [rad]: knees bent, feet flat, forearms forward."""
+H1_DAMPING: Mapping[str, float] = {"knee": 4.0, "torso": 6.0}
+"""Joint name ends -> speed gain of its motor [N m s/rad]; 2 for others: those that H1 is commonly run with."""
 TORQUE_SHARE = 0.6
 """Share of a motor's limit that an action of 1 asks for."""
 FLAT_M = 0.02
@@ -25,11 +29,18 @@ SERVO_RAD = 0.5
 
 
 def unitree_h1() -> LeggedBody:
-    """Unitree H1: 19 motors under torque control."""
+    """Unitree H1: 19 motors under torque control, with speed gains and the torques of its weight, but no stiffness."""
     spec = mujoco.MjSpec.from_file(str(_file("unitree_h1", "h1.xml")))
     joints = tuple(a.target for a in spec.actuators)
-    home = tuple(next((v for end, v in H1_HOME.items() if joint.endswith(end)), 0.0) for joint in joints)
-    return _legged(spec, "pelvis", joints, home, ("left_ankle_link", "right_ankle_link"), "torque", TORQUE_SHARE)
+    home = tuple(_by_end(H1_HOME, joint, 0.0) for joint in joints)
+    damp(spec, {joint: _by_end(H1_DAMPING, joint, 2.0) for joint in joints},
+         {a.target: float(a.ctrlrange[1]) for a in spec.actuators})
+    body = _legged(spec, "pelvis", joints, home, ("left_ankle_link", "right_ankle_link"), "torque", TORQUE_SHARE)
+    return replace(body, rest=holding_torques(body.spec, joints, home, body.height_m, body.feet))
+
+
+def _by_end(table: Mapping[str, float], joint: str, otherwise: float) -> float:
+    return next((value for end, value in table.items() if joint.endswith(end)), otherwise)
 
 
 def unitree_g1() -> LeggedBody:

@@ -58,6 +58,7 @@ class LeggedWorld:
         self._in_order = bool((self._q == np.arange(7, 7 + len(self._q))).all() and model.nq == 7 + len(self._q))
         self._feet = np.array([model.sensor(f + SENSED_BY_FEET).adr[0] for f in body.feet])
         self._home, self._limit = np.array(body.home), limits(model)
+        self._rest = np.zeros(len(body.joints)) if body.rest is None else np.array(body.rest)
         self._low, self._high = model.jnt_range[[model.joint(j).id for j in body.joints]].T
         joints = len(body.joints)
         self.action, self.previous = np.zeros((n, joints)), np.zeros((n, joints))
@@ -85,7 +86,7 @@ class LeggedWorld:
         self._qpos[ids, 3:7] = np.stack([s.quaternion for s in starts])
         self._qvel[ids, :6] = np.stack([s.velocity for s in starts])
         self._qpos[ids, 2] = [s.height_m for s in starts]
-        self._ctrl[ids] = home if self.body.control == "position" else 0.0
+        self._ctrl[ids] = home if self.body.control == "position" else self._rest
         self.action[ids] = self.previous[ids] = 0.0
         self.command[ids] = [s.command for s in starts]
         self.ticks[ids] = 0
@@ -139,7 +140,7 @@ class LeggedWorld:
         """What the motors are told where shares are asked for: angles [rad], or torques [N m]."""
         if self.body.control == "position":
             return self._home + self.body.scale * action
-        return self._limit * self.body.scale * action
+        return self._rest + self._limit * self.body.scale * action
 
     def _push(self, ids: Ids | None = None) -> None:
         """Blows whose tick has come change the speed of the base over ground."""
