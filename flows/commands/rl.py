@@ -51,20 +51,22 @@ def evaluate(
     seed: Annotated[int, typer.Option(min=0, help="Of the starts, which no training meets.")] = 0,
     stratum: Annotated[str | None, typer.Option(help="Kind of start. [default: the training's]")] = None,
     speed: Annotated[float | None, typer.Option(help="Forward, asked for [m/s]. [default: as the task draws]")] = None,
-    strip: Annotated[Path | None, typer.Option(help="Draw one attempt into this .webp or .png instead.")] = None,
+    strip: Annotated[Path | None, typer.Option(help="Draw the first attempt into this .webp or .png, too.")] = None,
     threads: Threads = 1,
     json: Annotated[bool, typer.Option("--json", help="Print JSON for machines.")] = False,
 ) -> None:
-    """Evaluate a policy beside zero and random actions, on the same starts; or draw a film strip of one attempt.
+    """Evaluate a policy beside zero and random actions, on the same starts; with a film strip of one attempt.
 
-    Example: hardcase rl evaluate datasets/store/rl/biped-walk-0 --speed 0.5
+    Example: hardcase rl evaluate datasets/store/rl/biped-walk-0 --speed 0.5 --strip walk.webp
     """
+    from flows.rl.training import run_evaluate
+
+    drawn = None
     if strip is not None:
         from flows.rl.strip import write_strip
 
-        typer.echo(write_strip(policy, strip, seed=seed, stratum=stratum, speed=speed))
-        return
-    from flows.rl.training import run_evaluate
-
+        drawn = write_strip(policy, strip, seed=seed, stratum=stratum, speed=speed)
     typer.echo(run_evaluate(policy, attempts=attempts, seed=seed, stratum=stratum, threads=threads, speed=speed,
                             as_json=json))
+    if drawn is not None:
+        typer.echo(drawn, err=json)

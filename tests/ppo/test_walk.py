@@ -57,7 +57,9 @@ def test_evaluate_asks_for_one_speed(study, hardcase):
 
 def test_a_strip_shows_the_attempt_until_its_fall(study, hardcase, tmp_path):
     folder = study[1] / "rl" / "study" / "biped-walk-100"
-    code, said, _ = hardcase("rl", "evaluate", folder, "--speed", 0.5, "--strip", tmp_path / "walk.webp")
+    code, said, _ = hardcase("rl", "evaluate", folder, "--attempts", 1, "--speed", 0.5, "--strip",
+                             tmp_path / "walk.webp")
+    said = said.splitlines()[-1]
     assert (code, "where it fell" in said) == (0, True)
     with Image.open(tmp_path / "walk.webp") as picture:
         assert picture.format == "WEBP"
@@ -68,15 +70,16 @@ def test_a_strip_shows_the_attempt_until_its_fall(study, hardcase, tmp_path):
 
 def test_a_strip_of_another_task_begins_at_the_start(hardcase, straight, tmp_path):
     straight.export(tmp_path / "policy.onnx")
-    code, said, _ = hardcase("rl", "evaluate", tmp_path / "policy.onnx", "--strip", tmp_path / "stand.png")
-    assert (code, " from 0.00 s to " in said) == (0, True)
+    code, said, told = hardcase("rl", "evaluate", tmp_path / "policy.onnx", "--attempts", 1, "--json", "--strip",
+                                tmp_path / "stand.png")
+    assert (code, " from 0.00 s to " in told, json.loads(said)["attempts"]) == (0, True, 1)
     with Image.open(tmp_path / "stand.png") as picture:
         assert picture.width % 180 == 0
 
 
 @pytest.mark.parametrize(("words", "mend"), [
     (("--speed", 3), "ask for 0 to 0.8 m/s"),
-    (("--strip", "walk.gif"), "give a name that ends in .webp or .png"),
+    (("--attempts", 1, "--strip", "walk.gif"), "give a name that ends in .webp or .png"),
 ], ids=["speed", "kind of picture"])
 def test_what_cannot_be_done_is_told_in_one_line_with_its_mend(study, hardcase, words, mend):
     code, _, told = hardcase("rl", "evaluate", study[1] / "rl" / "study" / "biped-walk-100", *words)
