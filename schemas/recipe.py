@@ -246,6 +246,8 @@ class RlConfig(Frozen):
     lap_steps: int = Field(default=300_000, ge=1, description="ticks of all attempts together in a later lap; "
                                                               "train.steps are those of generation 0")
     lap_learning_rate: float = Field(default=5e-4, gt=0)
+    vary: float = Field(default=1.0, ge=0, le=3, description="how much the robots of training and gate differ, see "
+                        "pipeline/locomotion/varied.py; 0: all are the nominal one")
     hard_share: float = Field(default=0.5, ge=0, lt=1, description="of the attempts of a later lap, those that begin "
                                                                    "where a robot stood before it fell")
     before_s: float = Field(default=0.6, gt=0, le=10, description="how long before the fall that is [s]")

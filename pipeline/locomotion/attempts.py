@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.locomotion import varied
 from pipeline.locomotion.body import LeggedBody
 from pipeline.locomotion.starts import Start, draw_start
 from pipeline.locomotion.tasks import LeggedTask
@@ -44,12 +45,13 @@ class Attempts:
         seed: of the starts.
         stratum: kind of start; the first of the task where None.
         draw: how a start follows from its seed, in place of a kind of start.
+        vary: how much the robots differ, each place having one of its own; 0: all are the nominal one.
         threads: threads of the engine.
     """
 
     def __init__(self, body: LeggedBody, task: LeggedTask, n: int, *, seed: int, stratum: str | None = None,
-                 draw: Callable[[int], Start] | None = None, threads: int = 1) -> None:
-        self.world, self.task, self.body = LeggedWorld(body, task, n, threads=threads), task, body
+                 draw: Callable[[int], Start] | None = None, vary: float = 0.0, threads: int = 1) -> None:
+        self.world, self.task, self.body = _world(body, task, n, seed, vary, threads), task, body
         self.seed, self._stratum, self._draw = seed, stratum or next(iter(task.starts)), draw
         self.begun = np.zeros(n, np.int64)
         """Attempts begun in each place so far."""
@@ -94,6 +96,13 @@ class Attempts:
         """Go on from what `save` gave, bit for bit."""
         self.world.load(saved)
         self.begun[:] = saved["begun"]
+
+
+def _world(body: LeggedBody, task: LeggedTask, n: int, seed: int, vary: float, threads: int) -> LeggedWorld:
+    if not vary:
+        return LeggedWorld(body, task, n, threads=threads)
+    draws = [varied.vary(np.random.default_rng([seed, place, 79]), vary) for place in range(n)]
+    return varied.VariedWorld(body, task, draws, seed=seed, threads=threads)
 
 
 def start_seed(seed: int, place: int, k: int) -> int:

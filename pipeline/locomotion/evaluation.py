@@ -37,6 +37,10 @@ class Evaluated:
     """Speed that each was asked for: forward, left [m/s], turning [rad/s]; shape (n, 3)."""
     mean: Array
     """Mean speed of each in its own heading, as `asked`, from SETTLED_S to its end; NaN where it fell before."""
+    steps_hz: Array
+    """How often each foot of each came down a second, over these ticks, shape (n,); a clock asks 1 / stride_s."""
+    airborne: Array
+    """Share of these ticks in which no foot of it pressed on the ground, shape (n,)."""
 
     @property
     def follows(self) -> NDArray[np.bool_]:
@@ -58,6 +62,7 @@ def evaluate(act: Act, body: LeggedBody, task: LeggedTask, *, n: int = 200, seed
     alive, length = np.ones(n, bool), np.zeros(n, np.int64)
     sums, error = dict.fromkeys(task.weights, 0.0), 0.0
     settled, covered = round(SETTLED_S * task.control_hz), np.zeros((n, 3))
+    steps, airborne, stood = np.zeros(n), np.zeros(n), np.ones((n, len(body.feet)), bool)
     for tick in range(task.ticks):
         world.act(act(world.observe()))
         now = world.motion()
@@ -68,12 +73,19 @@ def evaluate(act: Act, body: LeggedBody, task: LeggedTask, *, n: int = 200, seed
         error += float(np.linalg.norm(now.velocity[:, :2] - now.command[:, :2], axis=1)[alive].sum())
         if tick >= settled:
             covered[alive] += now.velocity[alive]
+            steps += alive * (now.contact & ~stood).sum(axis=1)
+            airborne += alive & ~now.contact.any(axis=1)
+        stood = now.contact
         if not alive.any():
             break
-    ticks, counted = max(1, int(length.sum())), np.maximum(length - settled, 0)[:, None]
-    mean = np.divide(covered, counted, out=np.full((n, 3), np.nan), where=counted > 0)
+    ticks, counted = max(1, int(length.sum())), np.maximum(length - settled, 0)
+
+    def mean(total: Array) -> Array:
+        return total / np.where(counted > 0, counted, np.nan)
+
     return Evaluated(alive, length, {name: total / ticks for name, total in sums.items()}, error / ticks,
-                     world.command.copy(), mean)
+                     world.command.copy(), mean(covered.T).T, mean(steps) * task.control_hz / len(body.feet),
+                     mean(airborne))
 
 
 def zero_action(joints: int) -> Act:

@@ -30,6 +30,7 @@ class Lesson(Frozen):
     name: str = Field(description="of the task")
     task: LeggedTask
     curriculum: Curriculum
+    vary: float = Field(default=0.0, ge=0, description="how much the robots of a training differ")
     held_out: tuple[HardStart, ...] = Field(default=(), description="hard starts that only the gate plays")
     needs: dict[ShortId, tuple[str, ...]] = Field(
         default={}, description="episode -> consent records that its start rests on; those that need none are left out")

@@ -107,6 +107,13 @@ class LeggedWorld:
         Raises:
             SimulationError: another shape, or a value that is not finite.
         """
+        self._accept(action)
+        self._ctrl[:] = self.targets(self.action)
+        self.batch.step(nstep=self.task.substeps)
+        self.ticks += 1
+
+    def _accept(self, action: Array) -> None:
+        """Look at what was asked for, remember it, and let the blows come that are due."""
         if action.shape != self.action.shape:
             raise SimulationError(f"action of shape {action.shape}, the robots take {self.action.shape}", where="step",
                                   mend=f"send one share in [-1, 1] for each of {', '.join(self.body.joints)}")
@@ -115,9 +122,6 @@ class LeggedWorld:
                                   mend="look at the policy: its weights or its input hold NaN or infinity")
         self.previous, self.action = self.action, np.clip(action, -1.0, 1.0)
         self._push()
-        self._ctrl[:] = self.targets(self.action)
-        self.batch.step(nstep=self.task.substeps)
-        self.ticks += 1
 
     def act_on(self, ids: Ids, action: Array, sent: Sequence[tuple[Array, int]]) -> None:
         """As `act` for some attempts, whose motors may hear of their actions late; the others stand still.

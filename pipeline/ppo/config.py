@@ -44,9 +44,9 @@ PPO_CONFIGS: MappingProxyType[str, PpoConfig] = MappingProxyType(
 """Task -> its tuned numbers; other tasks begin with those of a plain PpoConfig()."""
 
 
-def _none(value: object) -> bool:
+def _nothing(value: object) -> bool:
     """Orders that do not speak of it keep the ids that they had before they could."""
-    return value is None
+    return not value
 
 
 class Order(Frozen):
@@ -56,9 +56,11 @@ class Order(Frozen):
     name: str = Field(description="of the task")
     task: LeggedTask
     stratum: str | None = Field(default=None, description="kind of start; the task's first where None")
-    curriculum: Curriculum | None = Field(default=None, exclude_if=_none, description="kinds of start and hard starts, "
+    curriculum: Curriculum | None = Field(default=None, exclude_if=_nothing, description="kinds of start and hard starts, "
                                           "in place of one kind")
-    goes_on: Sha256 | None = Field(default=None, exclude_if=_none, description="hash of the file of weights that it "
+    vary: float = Field(default=0.0, ge=0, exclude_if=_nothing, description="how much robots differ, see "
+                        "pipeline.locomotion.varied; 0: every one is the nominal one")
+    goes_on: Sha256 | None = Field(default=None, exclude_if=_nothing, description="hash of the file of weights that it "
                                    "begins with, see pipeline.ppo.weights")
     ppo: PpoConfig = PpoConfig()
     seed: int = Field(default=0, ge=0)

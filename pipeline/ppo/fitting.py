@@ -61,8 +61,8 @@ def order_for(data: LessonFrom, config: TrainConfig, seed: int) -> Order:
         "steps": config.steps, "batch": config.batch, "learning_rate": config.learning_rate, **named}
     ppo = from_values(numbers, PpoConfig, where="recipe: train", example="fields: pipeline/ppo/config.py")
     begins = None if data.champion is None else sha256_file(data.champion / WEIGHTS)
-    return Order(body=lesson.body, name=lesson.name, task=lesson.task, curriculum=lesson.curriculum, goes_on=begins,
-                 ppo=ppo, seed=seed)
+    return Order(body=lesson.body, name=lesson.name, task=lesson.task, curriculum=lesson.curriculum,
+                 vary=lesson.vary, goes_on=begins, ppo=ppo, seed=seed)
 
 
 def fit_ppo(data: LessonFrom, config: TrainConfig, seed: int, *, resume_from: Path | None = None,

@@ -58,7 +58,7 @@ class Training:
         body, curriculum = load_legged(order.body), order.curriculum
         attempts = Attempts(body, order.task, order.ppo.attempts, seed=order.seed, stratum=order.stratum,
                             draw=StartSource(curriculum, order.task, body).draw if curriculum else None,
-                            threads=threads)
+                            vary=order.vary, threads=threads)
         self.env = AttemptsVecEnv(attempts, order.ppo.reward_scale)
         self.model = ppo_model(self.env, order.ppo, order.seed)
         self.curve: list[Point] = []
