@@ -8,6 +8,7 @@ from pipeline.errors import unknown
 from pipeline.locomotion.bodies import load_legged
 from pipeline.locomotion.tasks import load_legged_task
 from pipeline.ppo.config import PPO_CONFIGS, Order, PpoConfig
+from pipeline.ppo.suited import SUITED
 
 
 def order_of(body: str, task: str, seed: int, *, stratum: str | None = None,
@@ -17,7 +18,7 @@ def order_of(body: str, task: str, seed: int, *, stratum: str | None = None,
     Args:
         body, task, stratum: as on the command line; a wrong one is told here, before anything is trained.
         seed: of starts, weights and draws.
-        given: numbers of PpoConfig; those that are None stay as the task has them.
+        given: numbers of PpoConfig; those that are None stay as the task, or the body on this task, has them.
 
     Raises:
         ConfigError: a name or number that cannot be used.
@@ -26,7 +27,9 @@ def order_of(body: str, task: str, seed: int, *, stratum: str | None = None,
     load_legged(body)
     if stratum is not None and stratum not in loaded.starts:
         raise unknown("stratum", stratum, loaded.starts)
-    numbers = PPO_CONFIGS.get(name, PpoConfig()).model_dump() | {
+    if (own := SUITED.get((task, body))) is not None:
+        loaded = loaded.model_copy(update=dict(own.task))
+    numbers = (own.ppo if own else PPO_CONFIGS.get(name, PpoConfig())).model_dump() | {
         key: value for key, value in (given or {}).items() if value is not None}
     ppo = from_values(numbers, PpoConfig, where="the training's numbers", example="fields: pipeline/ppo/config.py")
     return Order(body=body, name=name, task=loaded, stratum=stratum, ppo=ppo, seed=seed)
