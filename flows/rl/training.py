@@ -133,7 +133,9 @@ def _told(done: Any, control_hz: float) -> dict[str, Any]:
             "follows": {"rate": following.rate, "low": following.low, "high": following.high},
             "length_s": float(done.length.mean()) / control_hz, "error": done.error, "terms": done.terms,
             "speed_of_full_m_s": float(mean[:, 0].mean()) if full else None,
-            "off_of_full_m_s": float(abs(mean - done.asked[done.full])[:, 0].mean()) if full else None}
+            "off_of_full_m_s": float(abs(mean - done.asked[done.full])[:, 0].mean()) if full else None,
+            "steps_hz": float(done.steps_hz[done.full].mean()) if full else None,
+            "airborne": float(done.airborne[done.full].mean()) if full else None}
 
 
 def _file(policy: Path) -> Path:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from pipeline.locomotion import evaluation
 from pipeline.locomotion.evaluation import (
     OFF_M_S,
     SETTLED_S,
@@ -55,3 +56,25 @@ def test_a_command_for_all_leaves_the_starts_as_they_are(body):
     assert asked.command.tolist() == [0.3, 0.1, -0.2]
     for name in ("quaternion", "velocity", "bend", "blows"):
         assert np.array_equal(getattr(drawn, name), getattr(asked, name))
+
+
+def test_steps_are_counted_where_feet_are_lifted_and_none_where_they_stay(body, monkeypatch):
+    monkeypatch.setattr(evaluation, "SETTLED_S", 0.1)
+    task = STILL.model_copy(update={"seconds": 0.7})
+    bend = np.array([[0, -0.8, 1.6, -0.8, 0]])  # of one leg: it lifts its foot straight up
+
+    def marching(period_ticks: int):
+        ticks = iter(range(10**6))
+
+        def act(sensed):
+            left = next(ticks) % period_ticks < period_ticks / 2
+            return np.repeat(np.hstack([bend * left, bend * (not left)]), len(sensed), axis=0)
+
+        return act
+
+    standing = evaluate(zero_action(10), body, task, n=1)
+    assert (standing.steps_hz[0], standing.airborne[0]) == (0, 0)
+    slow, fast = (evaluate(marching(ticks), body, task, n=1) for ticks in (20, 10))
+    assert slow.full.all()
+    assert fast.full.all()
+    assert 2 < slow.steps_hz[0] < fast.steps_hz[0] < 9  # 2.5 and 5 were asked of each foot
