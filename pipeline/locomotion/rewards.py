@@ -68,14 +68,14 @@ def effort(now: Motion) -> Array:
 def velocity(now: Motion) -> Array:
     """exp(-(error of the speed over ground / 0.25 m/s)^2), forward and to the left.
 
-    Source: Rudin et al. 2021, arXiv 2109.11978, table of rewards: its tracking of the linear velocity, as this is.
+    Source: Rudin et al. 2021, arXiv 2109.11978, whose term falls to 1/e at 0.5 m/s.
     """
     error = now.velocity[:, :2] - now.command[:, :2]
     return np.exp(-(error**2).sum(axis=1) / SLOW_M_S**2)
 
 
 def heading(now: Motion) -> Array:
-    """exp(-(error of the turning speed / 0.5 rad/s)^2). Source: as `velocity`."""
+    """exp(-(error of the turning speed / 0.5 rad/s)^2). Source: as that of `velocity`."""
     return np.exp(-((now.velocity[:, 2] - now.command[:, 2]) / TURN_RAD_S) ** 2)
 
 
