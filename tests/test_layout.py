@@ -16,7 +16,7 @@ OWNERS = {
     "prefect": ("flows/",),
     "typer": ("flows/",),
     "rich": ("flows/",),
-    "mujoco": ("pipeline/simulation/", "pipeline/locomotion/", "pipeline/twin/"),
+    "mujoco": ("pipeline/simulation/", "pipeline/locomotion/", "pipeline/twin/", "pipeline/control/"),
     "mujoco_menagerie": ("pipeline/locomotion/menagerie.py",),
     "torch": ("pipeline/policies/", "pipeline/ppo/"),
     "stable_baselines3": ("pipeline/ppo/",),

@@ -224,3 +224,22 @@ def reference(
     from flows.studies.reference import run_reference_study
 
     run_reference_study(seeds=seeds, steps=steps, episodes=episodes, train=train, json=json)
+
+
+@measure.command()
+def hierarchy(
+    seeds: Annotated[int, typer.Option(min=1, help="Seeds of goals and starts, and of the policies that walk.")] = 3,
+    attempts: Annotated[int, typer.Option(min=1, help="Goals or starts a seed.")] = 100,
+    part: Annotated[list[str] | None, typer.Option(help="arm or biped; both where it is left out.")] = None,
+    policy: Annotated[Path | None, typer.Option(help="ONNX file that walks, in place of the study's own.")] = None,
+    json: Json = None,
+    svg: Annotated[Path | None, typer.Option(help="Draw the hand's way and the tracked speed into this file.")] = None,
+) -> None:
+    """Commands over replaceable lower parts: IK, predictive sampling, PPO, zero action, on arm and biped. 20 minutes.
+
+    Example: hardcase measure hierarchy --seeds 3 --json hierarchy.json --svg docs/hierarchy.svg
+    """
+    from flows.studies.hierarchy import run_hierarchy_study
+
+    run_hierarchy_study(seeds=seeds, attempts=attempts, parts=tuple(part or ("arm", "biped")), policy=policy,
+                        json=json, svg=svg)

@@ -1,1 +1,1 @@
-"""Hierarchies of control: an upper part commands at its rate, a lower part acts at a higher one; each is replaceable."""
+"""Hierarchies of control: an upper part commands at its rate, a lower one acts at a higher one; each is replaceable."""

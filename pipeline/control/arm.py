@@ -93,6 +93,11 @@ class ArmPlant:
         q = self._qpos[:, self._q]
         return ArmSensed(q, self._qvel[:, self._v], self.kinematics.xyz_yaw(q))
 
+    def hand(self) -> tuple[Array, Array]:
+        """Where the hands are [m], shape (n, 3), and how they are turned, row by row, shape (n, 9)."""
+        position, rotation = self.kinematics.pose(self._qpos[:, self._q])
+        return position, rotation.reshape(self.n, 9)
+
     def act(self, action: Array, steps: int) -> None:
         """Send joint targets [rad], shape (n, 6), held for some steps of the engine."""
         line, rows, half = self._line, np.arange(self.n), self._physics.backlash[:, None] / 2

@@ -29,7 +29,7 @@ class Target(Forgetful):
         return self._goals
 
 
-class Path:
+class StraightPath:
     """The upper that leads to the goal on a straight line, from rest to rest.
 
     Along the line s = 10 t^3 - 15 t^4 + 6 t^5, the curve of least jerk (Flash and Hogan 1985, J. Neuroscience 5:1688).

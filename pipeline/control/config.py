@@ -14,7 +14,7 @@ class SamplingConfig(Frozen):
 
     samples: int = Field(default=16, ge=2, le=4096, description="plans that are tried each time, the last one included")
     horizon_s: float = Field(default=0.25, gt=0, le=10, description="how far a plan looks ahead [s]")
-    knots: int = Field(default=1, ge=1, le=64, description="points of the spline that a plan is; 1: it holds one action")
+    knots: int = Field(default=1, ge=1, le=64, description="points of a plan's spline; with 1 it holds one action")
     plan_hz: float = Field(default=50.0, gt=0, description="how often is planned anew [Hz]")
     step_s: float = Field(default=0.01, gt=0, le=0.1, description="time between actions of a plan [s]; for the arm the "
                                                                  "engine's step in plans, too")
@@ -50,7 +50,7 @@ class CourseConfig(Frozen):
         description="where to, one after the other, forward and left of where the robot begins [m]")
     speed_m_s: float = Field(default=0.5, gt=0, description="largest between waypoints [m/s]")
     turn_rad_s: float = Field(default=0.4, ge=0, description="fastest turn asked for [rad/s]")
-    turn_1_s: float = Field(default=1.5, ge=0, description="turn asked for, as a share of the angle that is missing [1/s]")
+    turn_1_s: float = Field(default=1.5, ge=0, description="turn asked for, a share of the missing angle [1/s]")
     within_m: float = Field(default=0.2, gt=0, description="distance at which a waypoint counts as reached [m]")
 
 

@@ -26,20 +26,22 @@ class Profile(Forgetful):
 
     def command(self, sensed: LeggedSensed, time_s: float) -> Array:
         """Forward, left [m/s], turning [rad/s], shape (n, 3)."""
-        forward = np.full(len(sensed.heading), np.interp(time_s, self._times, self._speeds))
+        forward: Array = np.zeros(len(sensed.heading)) + float(np.interp(time_s, self._times, self._speeds))
         return np.column_stack([forward, np.zeros_like(forward), turning(-sensed.heading, self._course)])
 
 
 class Waypoints:
-    """The upper that leads from one waypoint to the next: forward as far as it looks that way, turning towards it.
+    """The upper that leads from one waypoint to the next.
 
     Args:
         course: where to, and how fast.
         n: how many robots.
+        turns: go forward as far as a robot looks that way, and turn towards it; or look where it looked at the
+            beginning, and go forward and sideways.
     """
 
-    def __init__(self, course: CourseConfig, n: int) -> None:
-        self._course, self._points = course, np.array(course.waypoints, np.float64)
+    def __init__(self, course: CourseConfig, n: int, *, turns: bool) -> None:
+        self._course, self._points, self._turns = course, np.array(course.waypoints, np.float64), turns
         self._start = np.full((n, 2), np.nan)
         self.reached = np.zeros(n)
         """Waypoints that each robot has reached, shape (n,)."""
@@ -52,10 +54,12 @@ class Waypoints:
         way = self._way(sensed)
         self.reached += (self.reached < last) & (np.linalg.norm(way, axis=1) < course.within_m)
         way = self._way(sensed)
-        angle = np.arctan2(way[:, 1], way[:, 0]) - sensed.heading
-        angle = (angle + np.pi) % (2 * np.pi) - np.pi
-        forward = course.speed_m_s * np.maximum(0.0, np.cos(angle))
-        command = np.column_stack([forward, np.zeros_like(forward), turning(angle, course)])
+        angle = wrapped(np.arctan2(way[:, 1], way[:, 0]) - sensed.heading)
+        forward, left = course.speed_m_s * np.cos(angle), course.speed_m_s * np.sin(angle)
+        if self._turns:
+            command = np.column_stack([np.maximum(0.0, forward), np.zeros_like(left), turning(angle, course)])
+        else:
+            command = np.column_stack([forward, left, turning(-sensed.heading, course)])
         return np.where((self.reached < last)[:, None], command, 0.0)
 
     def _way(self, sensed: LeggedSensed) -> Array:
@@ -70,6 +74,11 @@ class Waypoints:
     def load(self, memory: Memory) -> None:
         """Go on from what `save` gave."""
         self._start, self.reached = memory["start"].copy(), memory["reached"].copy()
+
+
+def wrapped(angle: Array) -> Array:
+    """The same angles within half a turn [rad]."""
+    return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
 def turning(angle: Array, course: CourseConfig) -> Array:

@@ -47,9 +47,10 @@ def _within_reach(rng: np.random.Generator, n: int) -> Array:
     """Goals that the nominal arm can reach, shape (n, 4)."""
     setup = compose(load_body("arm"), "table")
     kinematics = Kinematics(setup, n, 1)
-    goals = rng.uniform(*BOX.T, (n, 4))
+    low, high = BOX.T
+    goals: Array = rng.uniform(low, high, (n, 4))
     while (far := ~_reachable(kinematics, np.array(setup.body.home), goals)).any():
-        goals[far] = rng.uniform(*BOX.T, (int(far.sum()), 4))
+        goals[far] = rng.uniform(low, high, (int(far.sum()), 4))
     return goals
 
 

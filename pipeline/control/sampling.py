@@ -54,8 +54,8 @@ class Planner:
 
     def __init__(self, config: SamplingConfig, start: Array, low: Array, high: Array, seed: int) -> None:
         self._config, self._low, self._high, self._seed = config, low, high, seed
-        self._times = np.linspace(0.0, config.horizon_s, config.knots)
-        self._spline = weights(self._times, config.step_s * np.arange(config.steps))
+        self._times: Array = np.linspace(0.0, config.horizon_s, config.knots, dtype=np.float64)
+        self._spline = weights(self._times, config.step_s * np.arange(config.steps, dtype=np.float64))
         self._shifted = weights(self._times, self._times + 1 / config.plan_hz)
         others = config.samples - 1
         self._width = config.noise * config.narrowest ** (np.arange(others) / max(1, others - 1))
@@ -92,7 +92,9 @@ class Planner:
 class Costs(Protocol):
     """Costs (n, k) of actions (n, k, steps, a)."""
 
-    def __call__(self, actions: Array) -> Array: ...
+    def __call__(self, actions: Array) -> Array:
+        """What each plan costs."""
+        ...
 
 
 class Mpc[S]:
@@ -135,4 +137,5 @@ def weights(knots_s: Array, times_s: Array) -> Array:
     """Matrix (times, knots) whose product with knots is their linear spline, held beyond the last one."""
     if len(knots_s) == 1:
         return np.ones((len(times_s), 1))
-    return np.stack([np.interp(times_s, knots_s, one) for one in np.eye(len(knots_s))], axis=1)
+    columns: list[Array] = [np.interp(times_s, knots_s, one) for one in np.eye(len(knots_s))]
+    return np.stack(columns, axis=1)

@@ -1,6 +1,7 @@
 """Alone: a chart of the report as an SVG file of its own, for a page of documentation."""
 
 import re
+from collections.abc import Sequence
 
 from markupsafe import Markup, escape
 
@@ -17,6 +18,16 @@ _STYLE = (
 """The report's own style as far as charts need it, in light colours on a ground of their own."""
 
 HEAD, LINE, SCALE = 30.0, 15.0, 1.8
+
+
+def beside(charts: Sequence[tuple[Markup, str]]) -> str:
+    """Several charts with their titles in one SVG file, from left to right."""
+    whole = [alone(chart, title) for chart, title in charts]
+    sizes = [re.search(r'width="(\d+)" height="(\d+)"', one) for one in whole]
+    wide, high = int(WIDTH * SCALE), max(int(size.group(2)) for size in sizes if size is not None)
+    inside = "".join(one.replace("<svg ", f'<svg x="{wide * k}" y="0" ', 1).rstrip() for k, one in enumerate(whole))
+    return (f'<svg xmlns="http://www.w3.org/2000/svg" width="{wide * len(whole)}" height="{high}" '
+            f'viewBox="0 0 {wide * len(whole)} {high}"><rect width="100%" height="100%" fill="#fff"/>{inside}</svg>\n')
 
 
 def alone(chart: Markup, title: str) -> str:
