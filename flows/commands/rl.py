@@ -27,6 +27,8 @@ def train(
     steps: Annotated[int | None, typer.Option(min=1, help="Environment steps. [default: the task's]")] = None,
     learning_rate: Annotated[float | None, typer.Option(help="Of Adam at the start. [default: the task's]")] = None,
     attempts: Annotated[int | None, typer.Option(min=1, help="Attempts side by side. [default: the task's]")] = None,
+    warm: Annotated[Path | None, typer.Option(help="Go on from a clone or a training: its folder. [default: random]")]
+    = None,
     threads: Threads = 1,
     out: Annotated[Path | None, typer.Option(help="Folder. [default: rl/BODY-TASK-SEED in the store]")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the last checkpoint, to the same bits.")] = False,
@@ -38,10 +40,36 @@ def train(
     """
     from flows.rl.order import order_of
     from flows.rl.training import folder_of, run_train
+    from flows.rl.warm import weights_of
 
-    order = order_of(body, task, seed, stratum=stratum,
+    weights, goes_on = (None, None) if warm is None else weights_of(warm)
+    order = order_of(body, task, seed, stratum=stratum, goes_on=goes_on,
                      given={"steps": steps, "learning_rate": learning_rate, "attempts": attempts})
-    typer.echo(run_train(order, out or folder_of(order), threads=threads, resume=resume, as_json=json))
+    typer.echo(run_train(order, out or folder_of(order), threads=threads, resume=resume, as_json=json, weights=weights))
+
+
+@rl.command()
+def clone(
+    expert: Annotated[str, typer.Argument(help="balance (written by hand), a policy.onnx, or a training's folder.")]
+    = "balance",
+    body: Annotated[str, typer.Option(help="biped, unitree_h1, unitree_g1, or the path of an MJCF or URDF.")] = "biped",
+    task: Annotated[str, typer.Option(help="stand, walk, or the path of a YAML file.")] = "stand",
+    seed: Annotated[int, typer.Option(min=0, help="Of demonstrations, weights and batches.")] = 0,
+    stratum: Annotated[str | None, typer.Option(help="Kind of start. [default: the task's first]")] = None,
+    attempts: Annotated[int, typer.Option(min=1, help="Attempts of the expert that must reach their end.")] = 100,
+    calm: Annotated[bool, typer.Option("--calm", help="No blows come while the expert demonstrates.")] = False,
+    out: Annotated[Path | None, typer.Option(help="Folder. [default: rl/clone-EXPERT-BODY-TASK-SEED]")] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON for machines.")] = False,
+) -> None:
+    """Clone an expert's attempts into PPO's networks; `rl train --warm` goes on from there.
+
+    Example: hardcase rl clone balance --calm --attempts 100
+    """
+    from flows.rl.cloning import folder_of, run_clone
+    from flows.rl.order import order_of
+
+    order = order_of(body, task, seed, stratum=stratum)
+    typer.echo(run_clone(order, expert, out or folder_of(order, expert), attempts=attempts, calm=calm, as_json=json))
 
 
 @rl.command()

@@ -12,7 +12,7 @@ from pipeline.ppo.suited import SUITED
 
 
 def order_of(body: str, task: str, seed: int, *, stratum: str | None = None,
-             given: Mapping[str, float | None] | None = None) -> Order:
+             given: Mapping[str, float | None] | None = None, goes_on: str | None = None) -> Order:
     """The order of a training.
 
     Args:
@@ -32,4 +32,4 @@ def order_of(body: str, task: str, seed: int, *, stratum: str | None = None,
     numbers = (own.ppo if own else PPO_CONFIGS.get(name, PpoConfig())).model_dump() | {
         key: value for key, value in (given or {}).items() if value is not None}
     ppo = from_values(numbers, PpoConfig, where="the training's numbers", example="fields: pipeline/ppo/config.py")
-    return Order(body=body, name=name, task=loaded, stratum=stratum, ppo=ppo, seed=seed)
+    return Order(body=body, name=name, task=loaded, stratum=stratum, goes_on=goes_on, ppo=ppo, seed=seed)

@@ -24,7 +24,8 @@ def folder_of(order: Order) -> Path:
     return store_root() / "rl" / f"{Path(order.body).stem}-{order.name}-{order.seed}"
 
 
-def run_train(order: Order, folder: Path, *, threads: int, resume: bool, as_json: bool) -> str:
+def run_train(order: Order, folder: Path, *, threads: int, resume: bool, as_json: bool,
+              weights: Path | None = None) -> str:
     """Train to the end, export, and say what to print.
 
     Raises:
@@ -35,7 +36,7 @@ def run_train(order: Order, folder: Path, *, threads: int, resume: bool, as_json
     if newest(folder) is not None and not resume:
         raise ConfigError("a training lies here already", where=folder,
                           mend="go on with --resume, or give another folder with --out")
-    found = trained(order, folder, threads=threads)
+    found = trained(order, folder, threads=threads, weights=weights)
     if as_json:
         return jsonlib.dumps({key: value for key, value in found.items() if key != "curve"})
     last = found["curve"][-1]
@@ -45,12 +46,19 @@ def run_train(order: Order, folder: Path, *, threads: int, resume: bool, as_json
             f"next: hardcase rl evaluate {folder}")
 
 
-def trained(order: Order, folder: Path, *, threads: int = 1) -> dict[str, Any]:
-    """A training from where it stands to its end: its facts and curves, which it leaves as training.json."""
+def trained(order: Order, folder: Path, *, threads: int = 1, weights: Path | None = None) -> dict[str, Any]:
+    """A training from where it stands to its end: its facts and curves, which it leaves as training.json.
+
+    Args:
+        order: what is trained.
+        folder: where all of it lies.
+        threads: threads of the engine.
+        weights: file that the order goes on from.
+    """
     from pipeline.ppo.training import Training
 
     folder.mkdir(parents=True, exist_ok=True)
-    training = Training(order, folder, threads=threads)
+    training = Training(order, folder, threads=threads, weights=weights)
     with _bar() as bar:
         task = bar.add_task("train", total=order.ppo.steps, completed=training.steps, says="")
 

@@ -199,6 +199,13 @@ class LeggedWorld:
         """How the bases are turned, true, quaternions w, x, y, z, shape (n, 4)."""
         return self._qpos[:, 3:7].copy()
 
+    def as_starts(self, ids: Ids) -> list[Start]:
+        """Where robots are now, true, as starts of other attempts; without what will push them."""
+        joints, rates = self._joints()
+        bend = joints - self._home
+        return [Start(float(self._qpos[i, 2]), self._qpos[i, 3:7].copy(), self._qvel[i, :6].copy(), bend[i].copy(),
+                      self.command[i].copy(), np.zeros((0, 3)), rates[i].copy()) for i in ids]
+
     @staticmethod
     def command_at(joints: int) -> slice:
         """Where the command stands in an observation of a robot with so many joints."""
