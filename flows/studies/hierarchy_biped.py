@@ -19,7 +19,7 @@ SIDLE = WALK.model_copy(update={
     "command": ((0.0, 0.6), (-0.25, 0.25), (0.0, 0.0)),
     "weights": {"velocity": 1.5, "heading": 1.0, "upright": 0.5, "gait": 0.7, "smooth": -0.05}})
 """The biped has no hip that turns, so it learns to step aside in place of turning."""
-SIDLE_STEPS, SIDLE_SEED = 1_600_000, 0
+SIDLE_STEPS, SIDLE_SEED = 1_600_000, 100
 LANE = CourseConfig(waypoints=((1.0, 0.0), (2.0, 0.6), (3.0, 0.0), (4.0, 0.0)), speed_m_s=0.35)
 MOST_PLANNED = 10
 """Attempts a seed by planning, for a second of one takes about a second."""

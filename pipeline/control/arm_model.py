@@ -9,6 +9,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from pipeline.control.arm import ArmSensed
+from pipeline.control.broken import broken, forget
 from pipeline.control.config import SamplingConfig
 from pipeline.protocols import Array
 from pipeline.simulation.bodies import Body
@@ -65,6 +66,7 @@ class ArmModel:
         self._qpos[:, self._fingers] = OPEN_M / 2
         control = np.full((n * k, steps, 7), OPEN_M / 2)
         control[..., :6] = actions.reshape(n * k, steps, 6)
+        forget(self._batch)
         seen = self._batch.rollout(steps, control, record=("site_xpos", "site_xmat", "actuator_force"))
         away, turn = apart(seen["site_xpos"][:, :, self._site], seen["site_xmat"][:, :, self._site],
                            np.repeat(command, k, axis=0)[:, None])
@@ -72,7 +74,7 @@ class ArmModel:
         swing = np.sqrt((self._qvel[:, self._v] ** 2).mean(axis=1))
         near = np.sqrt(away**2 + SMOOTH_M**2)
         cost = (near + TURN_M * turn + EFFORT_M * effort).mean(axis=1) + SWING_M * swing
-        return np.where(np.isfinite(cost), cost, np.inf).reshape(n, k)
+        return np.where(broken(self._batch), np.inf, cost).reshape(n, k)
 
 
 def apart(position: Array, rotation: Array, command: Array) -> tuple[Array, Array]:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.control.broken import broken, forget
 from pipeline.control.config import CourseConfig, SamplingConfig
 from pipeline.control.legged import LeggedPlant, LeggedSensed
 from pipeline.control.parts import Forgetful, Memory
@@ -21,7 +22,8 @@ class Profile(Forgetful):
     """The upper that asks for a speed by the clock, and to look where the robot looked at the beginning."""
 
     def __init__(self, course: CourseConfig) -> None:
-        self._times, self._speeds = np.array(course.profile, np.float64).T
+        self._times: Array = np.array([time for time, _ in course.profile], np.float64)
+        self._speeds: Array = np.array([speed for _, speed in course.profile], np.float64)
         self._course = course
 
     def command(self, sensed: LeggedSensed, time_s: float) -> Array:
@@ -145,10 +147,11 @@ class LeggedModel:
         kept["blows"], kept["next_blow"] = np.zeros((n * k, 0, 3)), np.zeros(n * k)
         kept["command"] = np.repeat(command, k, axis=0)
         world.load(kept)
+        forget(world.batch)
         fallen, cost = np.zeros(n * k, bool), np.zeros(n * k)
         for step in range(steps):
             world.act(actions[:, :, step].reshape(n * k, joints))
             now = world.motion()
             fallen |= world.fallen(now)
             cost += np.where(fallen, FALL, -np.sum(list(world.rewards(now).values()), axis=0))
-        return np.where(np.isfinite(cost), cost, np.inf).reshape(n, k)
+        return np.where(broken(world.batch), np.inf, cost).reshape(n, k)
