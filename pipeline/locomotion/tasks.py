@@ -109,7 +109,7 @@ WALK = LeggedTask(
     instruction="Walk at the speed that you are told.",
     starts={"standing": Starts(tilt_rad=0.05, joint_rad=0.05, speed_m_s=0.1)},
     command=((0.0, 0.8), (0.0, 0.0), (0.0, 0.0)), stride_s=0.7,
-    weights={"velocity": 1.5, "heading": 0.5, "upright": 0.5, "gait": 0.7, "smooth": -0.05})
+    weights={"velocity": 1.5, "heading": 1.0, "upright": 0.5, "gait": 1.2, "smooth": -0.05})
 
 LEGGED_TASKS: MappingProxyType[str, LeggedTask] = MappingProxyType({"stand": STAND, "balance": BALANCE, "walk": WALK})
 """Task name -> its config. Add one: a LeggedTask, and an entry here."""
