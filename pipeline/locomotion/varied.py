@@ -20,17 +20,17 @@ from pipeline.protocols import Array, Ids
 from schemas.scene import Draw
 
 RANGES: MappingProxyType[str, tuple[str, float, float, float]] = MappingProxyType({
-    "payload": ("1", 0.0, 0.0, 0.2), "payload_x": ("m", 0.0, -0.05, 0.05), "payload_z": ("m", 0.0, 0.0, 0.25),
-    "strength": ("1", 1.0, 0.75, 1.05), "stiffness": ("1", 1.0, 0.75, 1.05), "damping": ("1", 1.0, 0.8, 1.8),
-    "ground": ("1", 0.9, 0.5, 1.0), "delay_s": ("s", 0.0, 0.0, 0.02), "noise": ("1", 0.0, 0.0, 1.0),
+    "payload": ("1", 0.0, 0.0, 0.1), "payload_x": ("m", 0.0, -0.04, 0.04), "payload_z": ("m", 0.0, 0.0, 0.25),
+    "strength": ("1", 1.0, 0.85, 1.05), "stiffness": ("1", 1.0, 0.9, 1.05), "damping": ("1", 1.0, 0.8, 1.4),
+    "ground": ("1", 0.9, 0.5, 1.0), "delay_s": ("s", 0.0, 0.0, 0.005), "noise": ("1", 0.0, 0.0, 1.0),
     "skew": ("1", 0.0, 0.0, 1.0)})
 """What differs -> unit, nominal value, and the range that training draws from evenly.
 
 payload is a load on the base as a share of the robot's mass, at x and z from the base's origin; strength, stiffness and
 damping are relative to the data sheet; ground is sliding friction; noise and skew are shares of SENSORS' values.
 """
-SENSORS = MappingProxyType({"turning": (0.04, 0.02), "tilt": (0.008, 0.015), "joints": (0.0015, 0.01),
-                            "rates": (0.08, 0.0)})
+SENSORS = MappingProxyType({"turning": (0.03, 0.02), "tilt": (0.006, 0.01), "joints": (0.0015, 0.008),
+                            "rates": (0.06, 0.0)})
 """Sensor -> standard deviation each tick, and of what stays the same for a robot [rad/s, rad, rad, rad/s]."""
 
 
