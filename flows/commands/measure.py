@@ -230,7 +230,7 @@ def reference(
 def hierarchy(
     seeds: Annotated[int, typer.Option(min=1, help="Seeds of goals and starts, and of the policies that walk.")] = 3,
     attempts: Annotated[int, typer.Option(min=1, help="Goals or starts a seed.")] = 100,
-    part: Annotated[list[str] | None, typer.Option(help="arm or biped; both where it is left out.")] = None,
+    part: Annotated[list[str] | None, typer.Option(help="arm or biped, alone; the JSON file keeps the other.")] = None,
     policy: Annotated[Path | None, typer.Option(help="ONNX file that walks, in place of the study's own.")] = None,
     json: Json = None,
     svg: Annotated[Path | None, typer.Option(help="Draw the hand's way and the tracked speed into this file.")] = None,
@@ -243,3 +243,19 @@ def hierarchy(
 
     run_hierarchy_study(seeds=seeds, attempts=attempts, parts=tuple(part or ("arm", "biped")), policy=policy,
                         json=json, svg=svg)
+
+
+@measure.command()
+def warmstart(
+    seeds: Annotated[int, typer.Option(min=2, help="Trainings; the teacher of one is the policy of the next.")] = 3,
+    steps: Annotated[int | None, typer.Option(min=1, help="Steps of each training. [default: the task's]")] = None,
+    further: Annotated[int, typer.Option(min=1, help="Steps of each training that goes on.")] = 400_000,
+    json: Json = None,
+) -> None:
+    """PPO from cloned experts beside PPO from scratch, then on hard starts beside ordinary ones. 10 minutes a seed.
+
+    Example: hardcase measure warmstart --seeds 3 --json warmstart.json
+    """
+    from flows.studies.warmstart import run_warmstart_study
+
+    run_warmstart_study(seeds=seeds, steps=steps, further=further, json=json)

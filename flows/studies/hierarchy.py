@@ -1,5 +1,6 @@
 """`hardcase measure hierarchy`: upper commands over replaceable lowers, on the arm and on the biped."""
 
+import json as jsonlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ def run_hierarchy_study(*, seeds: int, attempts: int, parts: tuple[str, ...], po
     Args:
         seeds: how many.
         attempts: goals or starts a seed.
-        parts: of PARTS.
+        parts: of PARTS; what the file of `json` holds of the other one stays, if it was measured on as many.
         policy: walks in place of those that are trained for the study.
         json: where to write everything.
         svg: where to draw what both parts show.
@@ -31,12 +32,14 @@ def run_hierarchy_study(*, seeds: int, attempts: int, parts: tuple[str, ...], po
     """
     from pipeline.errors import ConfigError, unknown
 
+    found = _before(json, seeds, attempts)
+
     for part in parts:
         if part not in PARTS:
             raise unknown("part", part, PARTS)
-    if svg is not None and set(parts) != set(PARTS):
+    if svg is not None and {*parts, *found} < set(PARTS):
         raise ConfigError("the picture shows both parts", where="--svg", mend="measure both: leave out --part")
-    found = _measured(seeds, attempts, parts, policy)
+    found |= _measured(seeds, attempts, parts, policy)
     for table in _tables(found):
         Console(width=150).print(table)
     write_json(json, found)
@@ -44,6 +47,16 @@ def run_hierarchy_study(*, seeds: int, attempts: int, parts: tuple[str, ...], po
         with atomic(svg) as stream:
             stream.write(picture(found).encode())
     return found
+
+
+def _before(path: Path | None, seeds: int, attempts: int) -> dict[str, Any]:
+    """What a file holds of both parts, where it was measured on as many seeds and attempts."""
+    if path is None or not path.exists():
+        return {}
+    found = jsonlib.loads(path.read_text(encoding="utf-8"))
+    if (found.get("seeds"), found.get("attempts")) != (seeds, attempts):
+        return {}
+    return {part: found[part] for part in PARTS if part in found}
 
 
 def _measured(seeds: int, attempts: int, asked: tuple[str, ...], policy: Path | None) -> dict[str, Any]:
