@@ -4,14 +4,14 @@ from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
+from typing import override
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.disagreement import disagreement
 from pipeline.protocols import Array, Ids, Observation, Policy
+from pipeline.shadow.ridden import Ridden
 from pipeline.shadow.riders import Riders
-from pipeline.shadow.targets import joint_targets
 from pipeline.signals.curves import Curves, curves
 from pipeline.signals.neighbours import Neighbours
 from pipeline.signals.tick import Signals, plan_of
@@ -101,42 +101,31 @@ def _mean_apart(trace: Trace) -> float:
     return np.nan
 
 
-class _Ridden:
-    """The champion with riders in its shadow: same observations, and the riders' answers go to the record alone."""
+class _Ridden(Ridden):
+    """The champion with riders in its shadow, and what is computed of the risk from all of them."""
 
     def __init__(self, champion: Policy, riders: Riders, world: World, tracer: Tracer,
                  neighbours: Neighbours | None) -> None:
-        self._champion, self._riders, self._world, self._tracer = champion, riders, world, tracer
-        self._tick, self._neighbours, self._watched = 0, neighbours, bool(neighbours or riders.ids)
+        super().__init__(champion, riders, world.would_send, tracer)
+        self._neighbours, self._watched = neighbours, bool(neighbours or riders.ids)
         self._signals = Signals(world.n, neighbours)
 
+    @override
     def reset(self, n: int) -> None:
         """Prepare all for n attempts."""
-        self._champion.reset(n)
-        self._riders.reset(n)
-        self._tick, self._signals = 0, Signals(n, self._neighbours)
+        super().reset(n)
+        self._signals = Signals(n, self._neighbours)
 
-    def act(self, observation: Observation, ids: Ids) -> Array:
-        """The champion's actions, untouched."""
-        plan = plan_of(self._champion, ids) if self._watched else None
-        action = self._champion.act(observation, ids)
-        self._riders.offer(observation, ids)
-        answers = self._riders.answers()
-        for id, other in answers.items():
-            self._tracer.pend(f"shadow/{id}/joint", joint_targets(self._world.would_send, other, ids))
-            self._tracer.pend(f"shadow/{id}/disagreement", disagreement(other, action))
-        if self._watched:
-            for name, values in self._signals.tick(observation, action, answers, ids, plan).items():
-                self._tracer.pend(f"signal/{name}", values)
-        for id, state in self._riders.news():
-            for attempt in ids:
-                self._tracer.events[int(attempt)].append(Event(self._tick, 30, "shadow", f"{id} {state}"))
-        self._tick += 1
-        return action
+    @override
+    def planned(self, ids: Ids) -> Array | None:
+        """The champion's plan, where anybody watches."""
+        return plan_of(self.champion, ids) if self._watched else None
 
-    def memory(self, ids: Ids) -> Array:
-        """The champion's memory."""
-        return self._champion.memory(ids)
+    @override
+    def signals(self, observation: Observation, action: Array, answers: Mapping[str, Array], ids: Ids,
+                plan: Array | None) -> Mapping[str, Array]:
+        """See pipeline.signals.tick, where anybody watches."""
+        return self._signals.tick(observation, action, answers, ids, plan) if self._watched else {}
 
 
 class _Watch:

@@ -36,6 +36,7 @@ LATE = {"torch", "lerobot", "prefect", "mujoco", "rerun"}
 
 LIGHT = ("schemas/", "pipeline/store/", "pipeline/recording/", "flows/cli.py")
 TWIN_USERS = ("pipeline/twin/", "stages/deploy.py", "stages/harvest.py", "stages/exam.py", "stages/judge.py",
+              "stages/deploy_legged.py",
               "flows/run/reporting.py", "flows/run/seeing.py", "flows/teleop/devices.py")
 TRAINING_SIDE = (
     *(f"stages/{stage}.py" for stage in ("collect", "augment", "build", "train", "gate", "nightly", "release",
@@ -133,6 +134,11 @@ def test_only_the_twin_reads_its_hidden_law():
     law = f"{TWIN}.law"
     readers = {name(f) for f in SOURCES if any(m == law or m.startswith(f"{law}.") for m in imports(f))}
     assert readers <= {"pipeline/twin/twin.py"}, f"{readers}: the hidden physics is for pipeline/twin/twin.py only"
+
+
+def test_only_the_legged_twin_reads_its_hidden_law():
+    readers = {name(f) for f in SOURCES if any((m + ".").startswith(f"{TWIN}.legged_law.") for m in imports(f))}
+    assert readers <= {"pipeline/twin/legged.py"}, f"{readers}: hidden physics is for pipeline/twin/legged.py only"
 
 
 def test_only_the_deployment_side_knows_the_twin():

@@ -94,8 +94,9 @@ def test_nothing_is_spared_that_no_recording_stage_reaches():
 
 
 @pytest.mark.parametrize(("file", "changed"), [
-    ("pipeline/simulation/world.py", {"collect", "deploy", "harvest", ""}),
-    ("pipeline/recording/cdr.py", {"collect", "deploy", "harvest", ""}),
+    ("pipeline/simulation/world.py", {"collect", "deploy", "deploy_legged", "harvest", ""}),
+    ("pipeline/recording/cdr.py", {"collect", "deploy", "deploy_legged", "harvest", ""}),
+    ("pipeline/twin/legged_law.py", {"deploy_legged"}),
     ("pipeline/simulation/expert.py", {"collect", "harvest"}),
     ("pipeline/twin/law.py", {"deploy", "harvest"}),
     ("pipeline/simulation/rendering.py", set()),

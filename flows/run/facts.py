@@ -36,11 +36,21 @@ RECORDINGS_OF: Mapping[str, tuple[str, ...]] = MappingProxyType({
     "deploy": ("stages/deploy.py", "pipeline/triggers.py", "pipeline/twin/law.py", "pipeline/twin/twin.py",
                "pipeline/policies/ensembling.py", "pipeline/policies/onnx_policy.py", "pipeline/policies/runtime.py",
                "pipeline/disagreement.py", "pipeline/policies/features.py", "pipeline/shadow/candidate.py",
-               "pipeline/shadow/limits.py", "pipeline/shadow/riders.py", "pipeline/shadow/targets.py",
-               "pipeline/shadow/wire.py", "pipeline/signals/neighbours.py", "pipeline/signals/tick.py",
+               "pipeline/shadow/limits.py", "pipeline/shadow/ridden.py", "pipeline/shadow/riders.py",
+               "pipeline/shadow/sizes.py", "pipeline/shadow/targets.py", "pipeline/shadow/wire.py",
+               "pipeline/signals/neighbours.py", "pipeline/signals/tick.py",
                "pipeline/signals/warning.py"),
     "harvest": ("stages/harvest.py", "pipeline/triggers.py", "pipeline/twin/law.py", "pipeline/twin/twin.py",
                 "pipeline/twin/operator.py", "pipeline/simulation/expert.py"),
+    "deploy_legged": (
+        "stages/deploy_legged.py", "pipeline/disagreement.py", "pipeline/documents.py",
+        *(f"pipeline/locomotion/{name}.py" for name in (
+            "biped", "bodies", "body", "falls", "menagerie", "odometry", "rewards", "robots", "scenes", "sensed",
+            "spaces", "starts", "tasks", "torque", "tracing", "world")),
+        "pipeline/ppo/policy.py", "pipeline/ppo/runner.py", "pipeline/shadow/candidate.py", "pipeline/shadow/limits.py",
+        "pipeline/shadow/ridden.py", "pipeline/shadow/riders.py", "pipeline/shadow/sizes.py",
+        "pipeline/shadow/targets.py", "pipeline/shadow/wire.py", "pipeline/twin/legged.py",
+        "pipeline/twin/legged_law.py"),
 })
 """What also decides them, by the stage that records: who acts, on which robot, and when an attempt ends."""
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from pipeline.errors import PolicyError
 from pipeline.ppo.runner import OnnxRunner
-from pipeline.protocols import Array, Ids, Observation
+from pipeline.protocols import Array, Ids, Observation, Policy
 
 
 class LeggedPolicy:
@@ -47,3 +47,9 @@ class LeggedPolicy:
     def memory(self, ids: Ids) -> Array:
         """Rows of no values."""
         return np.zeros((len(ids), 0))
+
+
+def check_fit(policy: Policy, body: str, width: int, joints: int) -> None:
+    """Raise PolicyError where a policy that knows its robot was made for another one; see LeggedPolicy.must_fit."""
+    if isinstance(policy, LeggedPolicy):
+        policy.must_fit(body, width, joints)

@@ -1,0 +1,35 @@
+"""Hard starts: how a legged robot stood some time before it fell, from what it sensed and never from the truth."""
+
+import numpy as np
+
+from pipeline.locomotion.body import LeggedBody
+from pipeline.locomotion.odometry import LegOdometry
+from pipeline.locomotion.sensed import sensed
+from pipeline.protocols import Array
+from schemas.legged import LeggedStart
+
+ABOUT_TICKS = 1
+"""Speeds are means over so many ticks before and after: noise of the encoders' speeds falls, blows stay."""
+
+
+def start_before(state: Array, tick: int, body: LeggedBody, legs: LegOdometry) -> LeggedStart:
+    """The start that a robot's senses give for one tick of its attempt.
+
+    The heading is 0 and the place is the origin: no task depends on them. What will push it is not known.
+
+    Args:
+        state: what the robot sensed, shape (m, w); see LeggedWorld.observe.
+        tick: row of it.
+        body: the robot as its maker knows it.
+        legs: its kinematics, for one robot.
+    """
+    around = sensed(state[max(0, tick - ABOUT_TICKS):tick + ABOUT_TICKS + 1], body)
+    one = np.arange(1)
+    speeds = np.array([legs.velocity(sensed(row[None], body), one)[0]
+                       for row in state[max(0, tick - ABOUT_TICKS):tick + ABOUT_TICKS + 1]])
+    now = sensed(state[tick:tick + 1], body)
+    return LeggedStart.model_validate({
+        "height_m": float(legs.height(now, one)[0]), "quaternion": now.upright[0].tolist(),
+        "velocity": [*speeds.mean(axis=0).tolist(), *around.turning.mean(axis=0).tolist()],
+        "bend": (now.joints[0] - np.array(body.home)).tolist(), "rates": around.rates.mean(axis=0).tolist(),
+        "command": now.command[0].tolist()})
