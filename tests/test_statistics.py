@@ -352,5 +352,5 @@ def test_the_interquartile_interval_knows_seeds_from_episodes():
 
 @pytest.mark.parametrize("shape", [(3,), (0, 5), (3, 0)], ids=["one row", "no seeds", "no episodes"])
 def test_the_interquartile_interval_refuses_what_is_no_table_of_returns(shape):
-    with pytest.raises(ConfigError, match="mend: give .seeds, attempts"):
+    with pytest.raises(ConfigError, match=r"mend: give \(seeds, attempts\)"):
         bootstrap_interquartile(np.ones(shape), np.random.default_rng(0))
