@@ -21,8 +21,6 @@ SIDLE = WALK.model_copy(update={
 """The biped has no hip that turns, so it learns to step aside in place of turning."""
 SIDLE_STEPS, SIDLE_SEED = 1_600_000, 100
 LANE = CourseConfig(waypoints=((1.0, 0.0), (2.0, 0.6), (3.0, 0.0), (4.0, 0.0)), speed_m_s=0.35)
-MOST_PLANNED = 10
-"""Attempts a seed by planning, for a second of one takes about a second."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,14 +35,17 @@ class Course:
     """That of the policy where None."""
     policy: str = "walk"
     """walk, or sidle: which training drives."""
+    most: int = 10**6
+    """Attempts a seed, where planning takes about a second for a second of each."""
 
 
 COURSES: MappingProxyType[str, Course] = MappingProxyType({
     "profile": Course("profile", ("policy", "zero"), 13.0),
     "waypoints, turning": Course("waypoints", ("policy", "zero"), 20.0, LANE),
     "waypoints, sidling": Course("sidle", ("policy", "zero"), 20.0, LANE, policy="sidle"),
-    "stand": Course("profile", ("mpc", "zero"), 5.0, CourseConfig(profile=((0, 0),), turn_rad_s=0), STAND),
-    "profile by planning": Course("profile", ("mpc",), 5.0, CourseConfig(profile=((0, 0), (1, 0), (1.5, 0.3))), WALK),
+    "stand": Course("profile", ("mpc", "zero"), 5.0, CourseConfig(profile=((0, 0),), turn_rad_s=0), STAND, most=10),
+    "profile by planning": Course("profile", ("mpc",), 5.0, CourseConfig(profile=((0, 0), (1, 0), (1.5, 0.3))), WALK,
+                                  most=4),
 })
 
 
@@ -82,7 +83,7 @@ def followed(course: Course, lower: str, *, n: int, seed: int, policy: Path | No
     config = HierarchyConfig(robot=BODY, upper=course.upper, lower=lower, upper_hz=UPPER_HZ, lower_hz=LOWER_HZ,
                              seed=seed, sampling=LEGGED_SAMPLING, course=course.course,
                              policy=None if policy is None else str(policy))
-    task = course.task or opened(policy_of(course.policy, seed) if policy is None else policy)[2]
+    task = course.task or opened(policy or policy_of(course.policy, seed))[2]
     plant = legged_plant(load_legged(BODY), task, n, seed=seed)
     hierarchy = legged_hierarchy(config, plant)
     alive, rows = np.ones(n, bool), []
@@ -107,7 +108,7 @@ def biped_study(*, seeds: int, attempts: int, policy: Path | None, told: Callabl
 
     Args:
         seeds: how many, from FIRST_SEED on.
-        attempts: starts a seed; at most MOST_PLANNED of them are planned for.
+        attempts: starts a seed; fewer where a course says so.
         policy: walks in every seed; that of each seed's own training where None.
         told: called with what is done next, once for each of `parts(seeds)`.
     """
@@ -118,9 +119,10 @@ def biped_study(*, seeds: int, attempts: int, policy: Path | None, told: Callabl
             runs: list[dict[str, Any]] = []
             for seed in range(FIRST_SEED, FIRST_SEED + seeds):
                 told(f"biped, {name}: {lower}")
-                drives = policy if policy is not None and course.policy == "walk" else policy_of(course.policy, seed)
-                n = min(attempts, MOST_PLANNED) if "mpc" in course.lowers else attempts
-                runs.append(followed(course, lower, n=n, seed=seed, policy=drives if course.task is None else None))
+                drives = None if course.task is not None else (
+                    policy if policy is not None and course.policy == "walk" else policy_of(course.policy, seed))
+                n = min(attempts, course.most)
+                runs.append(followed(course, lower, n=n, seed=seed, policy=drives))
             arms[lower] = _told(runs, phases=PHASES if name == "profile" else ())
         found[name] = arms
     return found

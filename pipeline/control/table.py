@@ -10,7 +10,8 @@ from pipeline.control.arm_parts import Ik, StraightPath, Target, Trimmed
 from pipeline.control.config import HierarchyConfig
 from pipeline.control.hierarchy import Hierarchy
 from pipeline.control.legged import LeggedPlant, LeggedSensed
-from pipeline.control.legged_parts import LeggedModel, Profile, Trained, Waypoints
+from pipeline.control.legged_model import LeggedModel
+from pipeline.control.legged_parts import Profile, Trained, Waypoints
 from pipeline.control.parts import Lower, Upper, Zero
 from pipeline.control.sampling import Mpc
 from pipeline.errors import ConfigError, unknown

@@ -5,7 +5,8 @@ import pytest
 
 from pipeline.control.config import LEGGED_SAMPLING, CourseConfig, HierarchyConfig
 from pipeline.control.legged import LeggedSensed, legged_plant
-from pipeline.control.legged_parts import LeggedModel, Trained, Waypoints
+from pipeline.control.legged_model import LeggedModel
+from pipeline.control.legged_parts import Trained, Waypoints
 from pipeline.control.sampling import Planner
 from pipeline.control.table import legged_hierarchy
 from pipeline.errors import ConfigError, PolicyError
