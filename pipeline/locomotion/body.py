@@ -5,6 +5,7 @@
 # pyright: reportUnknownVariableType=false, reportUnknownParameterType=false, reportUnknownArgumentType=false
 
 from dataclasses import dataclass
+from itertools import combinations, product
 from typing import Literal
 
 import mujoco
@@ -45,3 +46,16 @@ def add_touch(spec: mujoco.MjSpec, feet: tuple[str, ...], size_m: float = 0.3) -
                                  size=[size_m / 2] * 3, rgba=[0, 0, 0, 0])
         spec.add_sensor(name=foot + SENSED_BY_FEET, type=mujoco.mjtSensor.mjSENS_TOUCH,
                         objtype=mujoco.mjtObj.mjOBJ_SITE, objname=foot + SENSED_BY_FEET)
+
+
+def let_feet_meet(spec: mujoco.MjSpec, feet: tuple[str, ...]) -> None:
+    """Make feet solid for each other: what of them meets the ground then meets that of the other feet, too."""
+    solid: dict[str, list[str]] = {}
+    for foot in feet:
+        geoms = [geom for geom in spec.body(foot).geoms if geom.contype or geom.conaffinity]
+        for k, geom in enumerate(geoms):
+            geom.name = geom.name or f"{foot}_solid_{k}"
+        solid[foot] = [geom.name for geom in geoms]
+    for one, other in combinations(feet, 2):
+        for first, second in product(solid[one], solid[other]):
+            spec.add_pair(geomname1=first, geomname2=second)

@@ -20,6 +20,11 @@ def _common(share: object) -> bool:
     return share == 0
 
 
+def _off(flag: object) -> bool:
+    """Tasks that leave this out are those that never had it: their trainings are found again."""
+    return flag is False
+
+
 class Starts(Frozen):
     """One kind of start; every range is drawn evenly, on both sides where it is a limit."""
 
@@ -51,6 +56,8 @@ class LeggedTask(Frozen):
     command: tuple[tuple[float, float], tuple[float, float], tuple[float, float]] = Field(
         default=((0, 0), (0, 0), (0, 0)), description="ranges of speed forward, left [m/s] and turning [rad/s]")
     stride_s: float = Field(default=0.0, ge=0, description="period of the gait's clock; 0 for none")
+    solid_feet: bool = Field(default=False, exclude_if=_off,
+                             description="feet bump into each other; else they pass through each other")
     fallen_rad: float = Field(default=1.0, description="lean at which an attempt has failed")
     fallen_height: float = Field(default=0.6, description="share of the home height under which it has failed")
     weights: dict[str, float] = Field(min_length=1, description="reward terms of REWARDS, at most five")
@@ -108,7 +115,7 @@ BALANCE = STAND.model_copy(update={
 WALK = LeggedTask(
     instruction="Walk at the speed that you are told.",
     starts={"standing": Starts(tilt_rad=0.05, joint_rad=0.05, speed_m_s=0.1)},
-    command=((0.0, 0.8), (0.0, 0.0), (0.0, 0.0)), stride_s=0.7,
+    command=((0.0, 0.8), (0.0, 0.0), (0.0, 0.0)), stride_s=0.7, solid_feet=True,
     weights={"velocity": 1.5, "heading": 1.0, "upright": 0.5, "gait": 1.2, "smooth": -0.05})
 
 LEGGED_TASKS: MappingProxyType[str, LeggedTask] = MappingProxyType({"stand": STAND, "balance": BALANCE, "walk": WALK})

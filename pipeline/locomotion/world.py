@@ -12,7 +12,7 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from pipeline.errors import SimulationError
-from pipeline.locomotion.body import SENSED_BY_FEET, LeggedBody
+from pipeline.locomotion.body import SENSED_BY_FEET, LeggedBody, let_feet_meet
 from pipeline.locomotion.rewards import REWARDS, Motion
 from pipeline.locomotion.spaces import SENSED_MOST
 from pipeline.locomotion.starts import Start
@@ -26,10 +26,17 @@ PRESSES_N = 1.0
 """Force from which on a foot counts as standing [N]."""
 
 
+def width_of(body: LeggedBody, task: LeggedTask) -> int:
+    """How many values a robot senses."""
+    return 9 + 3 * len(body.joints) + 2 * bool(task.stride_s)
+
+
 def compiled(body: LeggedBody, task: LeggedTask, scene: str = "ground", contact: Contact = NOMINAL) -> mujoco.MjModel:
     """The robot in its scene, at the time step that the task asks for."""
     spec = body.spec.copy()
     step_s = 1 / task.control_hz / task.substeps
+    if task.solid_feet:
+        let_feet_meet(spec, body.feet)
     add_scene(spec, scene, contact.model_copy(update={"timestep_s": step_s}))
     return spec.compile()
 
@@ -75,7 +82,7 @@ class LeggedWorld:
     @property
     def width(self) -> int:
         """How many values an observation has."""
-        return 9 + 3 * len(self.body.joints) + 2 * bool(self.task.stride_s)
+        return width_of(self.body, self.task)
 
     def restart(self, ids: Ids, starts: Sequence[Start]) -> None:
         """Begin other attempts in the places `ids`; the others go on undisturbed."""

@@ -107,3 +107,24 @@ def test_the_walking_robot_is_asked_for_what_the_task_says(body):
     (low, high), *_ = WALK.command
     assert low <= world.command[:, 0].min() < world.command[:, 0].max() <= high
     assert np.array_equal(world.observe()[:, -5:-2], world.command.astype(np.float32))
+
+
+def test_feet_bump_into_each_other_only_where_the_task_says_so(body):
+    """In the air, both hips roll inwards."""
+    nearest = {}
+    for solid in (True, False):
+        task = STILL.model_copy(update={"solid_feet": solid})
+        world = LeggedWorld(body, task, 1)
+        world.restart(np.array([0]), [draw_start(task, body, "home", 0)])
+        world.batch.bind("qpos")[0, 2] += 1.0
+        places = [world.model.geom(foot).id for foot in body.feet]
+        action = np.zeros((1, 10))
+        action[0, [0, 5]] = -1.0, 1.0
+        apart = []
+        for _ in range(15):
+            world.act(action)
+            left, right = world.batch.bind("geom_xpos").reshape(1, -1, 3)[0, places, 1]
+            apart.append(left - right)
+        nearest[solid] = min(apart)
+    assert nearest[True] > 0.02  # pressed together by both hips, feet 0.07 m wide give a little
+    assert nearest[False] < -0.05
