@@ -16,8 +16,7 @@ PHASES = ((0.5, 2.0), (3.0, 6.0), (7.0, 10.0), (11.5, 13.0))
 """Parts of the default profile that count for a speed: from half a second after it was asked for [s]."""
 SIDLE = WALK.model_copy(update={
     "instruction": "Walk and step aside at the speeds that you are told, looking ahead.",
-    "command": ((0.0, 0.6), (-0.25, 0.25), (0.0, 0.0)),
-    "weights": {"velocity": 1.5, "heading": 1.0, "upright": 0.5, "gait": 0.7, "smooth": -0.05}})
+    "command": ((0.0, 0.6), (-0.25, 0.25), (0.0, 0.0))})
 """The biped has no hip that turns, so it learns to step aside in place of turning."""
 SIDLE_STEPS, SIDLE_SEED = 1_600_000, 100
 LANE = CourseConfig(waypoints=((1.0, 0.0), (2.0, 0.6), (3.0, 0.0), (4.0, 0.0)), speed_m_s=0.35)
