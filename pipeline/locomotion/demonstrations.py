@@ -16,6 +16,7 @@ from pipeline.protocols import Array
 
 SIDE_BY_SIDE = 128
 """Attempts that are played at once."""
+THIN = 4
 DEMONSTRATION = 79
 """Word that keeps these starts apart from those of training and evaluation."""
 HORIZON = 3.0
@@ -32,6 +33,8 @@ class Demonstrations:
     """What the expert did, in [-1, 1], shape (kept, t, j)."""
     worth: Array
     """Sum of the rewards from a tick on, discounted; NaN near the end. Shape (kept, t)."""
+    met: NDArray[np.float32]
+    """What was sensed in all attempts before they fell, kept or not: every THIN-th tick, shape (m, w)."""
     played: int
     """Attempts that were played."""
     steps: int
@@ -57,20 +60,22 @@ def demonstrate(act: Act, body: LeggedBody, task: LeggedTask, *, keep: int, most
     """
     world = LeggedWorld(body, task, SIDE_BY_SIDE)
     kept: list[tuple[NDArray[np.float32], Array, Array]] = []
+    met: list[NDArray[np.float32]] = []
     played = steps = 0
     while len(kept) < keep and played < most:
         starts = [draw_start(task, body, stratum, start_seed(seed, played + k)) for k in range(SIDE_BY_SIDE)]
         world.restart(np.arange(SIDE_BY_SIDE), starts)
-        sensed, action, reward, alive, lasted = _play(act, world)
+        sensed, action, reward, stands = _play(act, world)
         worth = discounted(reward, gamma)
-        kept += [(sensed[:, i], action[:, i], worth[:, i]) for i in np.flatnonzero(alive)]
-        played, steps = played + SIDE_BY_SIDE, steps + lasted
+        kept += [(sensed[:, i], action[:, i], worth[:, i]) for i in np.flatnonzero(stands[-1])]
+        met.append(sensed[::THIN][stands[::THIN]])
+        played, steps = played + SIDE_BY_SIDE, steps + int(stands.sum())
         told(min(len(kept), keep))
     if not kept:
         raise PolicyError(f"the expert fell in all of {played} attempts", where=f"{stratum} starts",
                           mend="let it begin milder: another --stratum, --calm; or clone another expert")
     sensed, action, worth = (np.stack(part) for part in zip(*kept[:keep], strict=True))
-    return Demonstrations(sensed, action, worth, played, steps)
+    return Demonstrations(sensed, action, worth, np.concatenate(met), played, steps)
 
 
 def start_seed(seed: int, k: int) -> int:
@@ -89,12 +94,12 @@ def discounted(reward: Array, gamma: float) -> Array:
     return worth
 
 
-def _play(act: Act, world: LeggedWorld) -> tuple[NDArray[np.float32], Array, Array, NDArray[np.bool_], int]:
-    """What was sensed, done and rewarded, tick by tick; who reached the end; ticks before falls in all."""
+def _play(act: Act, world: LeggedWorld) -> tuple[NDArray[np.float32], Array, Array, NDArray[np.bool_]]:
+    """What was sensed, done and rewarded, and who had not fallen after it; tick by tick."""
     n, ticks = world.n, world.task.ticks
     sensed = np.zeros((ticks, n, world.width), np.float32)
     action, reward = np.zeros((ticks, n, world.action_size)), np.zeros((ticks, n))
-    alive, lasted = np.ones(n, bool), 0
+    stands, alive = np.zeros((ticks, n), bool), np.ones(n, bool)
     for tick in range(ticks):
         sensed[tick] = world.observe()
         action[tick] = act(sensed[tick])
@@ -102,7 +107,7 @@ def _play(act: Act, world: LeggedWorld) -> tuple[NDArray[np.float32], Array, Arr
         now = world.motion()
         reward[tick] = np.sum(list(world.rewards(now).values()), axis=0)
         alive &= ~world.fallen(now)
-        lasted += int(alive.sum())
+        stands[tick] = alive
         if not alive.any():
             break
-    return sensed, action, reward, alive, lasted
+    return sensed, action, reward, stands

@@ -21,6 +21,8 @@ class CloneConfig(Frozen):
     batch: int = Field(default=512, ge=2, description="ticks of a gradient step")
     learning_rate: float = Field(default=1e-3, gt=0, description="of Adam at the start; falls evenly to 0")
     critic: float = Field(default=0.5, ge=0, description="weight of the critic's loss; 0 leaves the critic as it is")
+    steady: float = Field(default=1e7, gt=0, description="ticks that mean and spread of what the expert met count as "
+                                                         "once PPO goes on: were they to move, what it does would, too")
     held_out: float = Field(default=0.1, ge=0, lt=0.5, description="share of the attempts that nothing is learned from")
 
 
@@ -35,7 +37,8 @@ class Epoch(Frozen):
 def clone(training: Training, shown: Demonstrations, config: CloneConfig, *, seed: int) -> list[Epoch]:
     """Teach a training that has not begun what an expert did; its optimiser stays fresh.
 
-    The normaliser takes mean and spread of what the expert met; rewards are scaled as PPO will scale them.
+    The normaliser takes mean and spread of all that the expert met, attempts in which it fell included, and hardly
+    moves from there; rewards are scaled as PPO will scale them.
 
     Args:
         training: whose networks and normaliser are taught.
@@ -54,7 +57,8 @@ def clone(training: Training, shown: Demonstrations, config: CloneConfig, *, see
                           where=f"{order.body} {order.name}", mend="clone an expert of this body and task")
     kept = len(shown.sensed)
     last = kept - (round(kept * config.held_out) if kept > 1 else 0)
-    normaliser.update(shown.sensed[:last].reshape(-1, shown.sensed.shape[2]))
+    normaliser.update(shown.met)
+    normaliser.count = config.steady
     learned, held = (_rows(training, shown, part) for part in (slice(0, last), slice(last, kept)))
     optimiser = torch.optim.Adam(policy.parameters(), lr=config.learning_rate)
     steps = config.epochs * -(-len(learned[0]) // config.batch)
