@@ -27,7 +27,7 @@ SHOWN = {"balance": ("leaning", True), "teacher": ("thrown", False)}
 """Expert -> kind of start that it demonstrates from, and whether no blows come meanwhile."""
 DEMONSTRATED = 100
 """Attempts of an expert that reached their end."""
-WARM_LOG_STD = -2.5
+WARM_LOG_STD = -2.0
 """Actions are drawn closer about a clone than about random weights: with the usual -1 a clone falls as soon as random
 weights do (seed 0)."""
 SHARES, OVER = (0.5, 0.9), 20
