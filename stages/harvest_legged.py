@@ -7,7 +7,7 @@ import numpy as np
 from pipeline.errors import ConfigError
 from pipeline.files import short_id
 from pipeline.locomotion.bodies import load_legged
-from pipeline.locomotion.hard import start_before
+from pipeline.locomotion.hard import ROWS, start_before
 from pipeline.locomotion.odometry import LegOdometry
 from pipeline.trace import Trace
 from schemas.episode import Episode
@@ -43,7 +43,7 @@ def harvest_legged(attempts: Sequence[Attempt], *, before_s: float, generation: 
             raise ConfigError(f"recording of {len(trace.joints)} joints, {robot} has {len(body.joints)}",
                               where=f"episode {episode.id}", mend=f"harvest it with the robot that it was made with: "
                               f"its joints are {', '.join(trace.joints) or 'those of the arm'}")
-    legs = LegOdometry(body, 1)
+    legs = LegOdometry(body, ROWS)
     made: list[HardCase] = []
     for episode, trace in failed:
         tick = episode.outcome.tick or 0

@@ -9,7 +9,9 @@ from pipeline.protocols import Array
 from schemas.legged import LeggedStart
 
 ABOUT_TICKS = 1
-"""Speeds are means over so many ticks before and after: noise of the encoders' speeds falls, blows stay."""
+"""The speed of the base is found from so many ticks before and after, too: feet bounce."""
+ROWS = 2 * ABOUT_TICKS + 1
+"""Robots that the kinematics must have."""
 
 
 def start_before(state: Array, tick: int, body: LeggedBody, legs: LegOdometry) -> LeggedStart:
@@ -21,15 +23,12 @@ def start_before(state: Array, tick: int, body: LeggedBody, legs: LegOdometry) -
         state: what the robot sensed, shape (m, w); see LeggedWorld.observe.
         tick: row of it.
         body: the robot as its maker knows it.
-        legs: its kinematics, for one robot.
+        legs: its kinematics, for ROWS robots.
     """
-    around = sensed(state[max(0, tick - ABOUT_TICKS):tick + ABOUT_TICKS + 1], body)
-    one = np.arange(1)
-    speeds = np.array([legs.velocity(sensed(row[None], body), one)[0]
-                       for row in state[max(0, tick - ABOUT_TICKS):tick + ABOUT_TICKS + 1]])
     now = sensed(state[tick:tick + 1], body)
+    speed = legs.velocity(sensed(state[max(0, tick - ABOUT_TICKS):tick + ABOUT_TICKS + 1], body))
     return LeggedStart.model_validate({
-        "height_m": float(legs.height(now, one)[0]), "quaternion": now.upright[0].tolist(),
-        "velocity": [*speeds.mean(axis=0).tolist(), *around.turning.mean(axis=0).tolist()],
-        "bend": (now.joints[0] - np.array(body.home)).tolist(), "rates": around.rates.mean(axis=0).tolist(),
+        "height_m": float(legs.height(now, np.arange(1))[0]), "quaternion": now.upright[0].tolist(),
+        "velocity": [*speed.tolist(), *now.turning[0].tolist()],
+        "bend": (now.joints[0] - np.array(body.home)).tolist(), "rates": now.rates[0].tolist(),
         "command": now.command[0].tolist()})

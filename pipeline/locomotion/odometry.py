@@ -15,6 +15,10 @@ from pipeline.protocols import Array, Ids
 
 PRESSED_M = 0.005
 """Height over the lowest point of a foot at which another point counts as standing only by 1/e."""
+TRUST_M_S, NEAR_M_S, ROUNDS = 1.0, 0.05, 30
+"""Speed that a robot is trusted not to depart from what is asked by; distance within which points agree; iterations.
+Chosen on falls of twins 0-2 by the error against truth: .32 m/s (rms) where the mean over points has .83, and .48
+whoever says that the robot goes as it is asked to."""
 
 
 class LegOdometry:
@@ -22,7 +26,8 @@ class LegOdometry:
 
     The base then moves as the standing point seems to move below it, the other way: v = -(omega x r + J dq).
     Wrong while both feet are in the air, and where a foot slips. Source: Bloesch et al., "State Estimation for Legged
-    Robots", Robotics: Science and Systems 2012, section III; without its filter.
+    Robots", Robotics: Science and Systems 2012, section III; a robust mean in place of its filter, since no
+    accelerometer is among what these robots sense.
 
     Args:
         body: the nominal robot.
@@ -51,16 +56,31 @@ class LegOdometry:
         self._batch.forward(ids, stage=int(mujoco.mjtStage.mjSTAGE_POS))
         return -self._soles(ids)[..., 2].min(axis=1)
 
-    def velocity(self, now: Sensed, ids: Ids) -> Array:
-        """Speed of the bases in a level frame with their own heading, x forward [m/s], shape (len(ids), 3)."""
-        self._put(now, ids)
+    def velocity(self, around: Sensed) -> Array:
+        """Speed of one base in a level frame with its own heading, x forward [m/s], shape (3,).
+
+        Each point of a foot says how fast the base goes if that point stands. They do not agree: feet bounce, slip and
+        roll. The answer is their geometric median, weighed by how low they are, drawn towards the speed that is asked
+        for: it minimises mean |v - v_point| + |v - asked|^2 / (2 TRUST_M_S), by Weiszfeld's iteration.
+
+        Args:
+            around: rows are ticks about the moment in question, at most as many as there are robots.
+        """
+        ids = np.arange(len(around.up))
+        self._put(around, ids)
         self._batch.forward(ids, stage=int(mujoco.mjtStage.mjSTAGE_VEL))
         soles = self._soles(ids)
         twist = self._cvel[np.ix_(ids, self._bodies)]
         away = soles - self._com[np.ix_(ids, self._roots)]
-        speed = twist[..., 3:] + np.cross(twist[..., :3], away)
-        weight = np.exp(-(soles[..., 2] - soles[..., 2].min(axis=1, keepdims=True)) / PRESSED_M)[..., None]
-        return -(weight * speed).sum(axis=1) / weight.sum(axis=1)
+        speeds = -(twist[..., 3:] + np.cross(twist[..., :3], away)).reshape(-1, 3)
+        weight = np.exp(-(soles[..., 2] - soles[..., 2].min(axis=1, keepdims=True)) / PRESSED_M)
+        weight = (weight / weight.sum(axis=1, keepdims=True)).ravel() / len(ids)
+        asked = np.array([*around.command[:, :2].mean(axis=0), 0.0])
+        speed = asked
+        for _ in range(ROUNDS):
+            pull = weight / np.sqrt(((speeds - speed) ** 2).sum(axis=1) + NEAR_M_S**2)
+            speed = (pull @ speeds + asked / TRUST_M_S) / (pull.sum() + 1 / TRUST_M_S)
+        return speed
 
     def _put(self, now: Sensed, ids: Ids) -> None:
         self._qpos[ids, :3], self._qpos[ids, 3:7] = 0.0, now.upright
