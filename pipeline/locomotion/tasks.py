@@ -105,11 +105,11 @@ STAND = LeggedTask(
 BALANCE = STAND.model_copy(update={
     "instruction": "Keep your balance, whatever comes.", "seconds": 6.0,
     "starts": {"leaning": STAND.starts["leaning"],
-               "hurled": Starts(tilt_rad=0.3, crouch=(0.0, 0.6), joint_rad=0.15, speed_m_s=1.0, turn_rad_s=1.0,
+               "hurled": Starts(tilt_rad=0.25, crouch=(0.0, 0.6), joint_rad=0.15, speed_m_s=0.8, turn_rad_s=0.8,
                                 rare_share=0.5),
-               "deep": Starts(tilt_rad=0.2, crouch=(0.8, 1.2), joint_rad=0.2, speed_m_s=0.4, turn_rad_s=0.5,
+               "deep": Starts(tilt_rad=0.15, crouch=(0.7, 1.1), joint_rad=0.15, speed_m_s=0.4, turn_rad_s=0.5,
                               rare_share=0.5)},
-    "pushes": Pushes(speed_m_s=0.5, every_s=(1.0, 2.5))})
+    "pushes": Pushes(speed_m_s=0.45, every_s=(1.2, 2.8))})
 """As STAND, met with starts at work that nobody foresaw: training draws the common kind alone."""
 
 WALK = LeggedTask(

@@ -30,7 +30,7 @@ LAW: MappingProxyType[str, tuple[str, Draw]] = MappingProxyType({
     "joint_bias": ("rad", lambda rng: rng.uniform(0.0, 0.01)),
     "joint_noise": ("rad", lambda rng: rng.uniform(0.0005, 0.002)),
     "rate_noise": ("rad/s", lambda rng: rng.uniform(0.02, 0.06)),
-    "blows": ("1", lambda rng: rng.uniform(1.0, 1.3)),
+    "blows": ("1", lambda rng: rng.uniform(1.0, 1.25)),
 })
 """What is hidden -> its unit and its draw.
 
@@ -39,5 +39,5 @@ strength and stiffness are of the motors, relative to their data sheet; damping 
 a share of each motor's limit; ground is the sliding friction of the feet; blows are relative to the task's.
 """
 
-CONTACT = MappingProxyType({"elliptic": True, "impratio": 3.0, "solref": (0.015, 1.0), "solimp": (0.9, 0.97, 0.001)})
+CONTACT = MappingProxyType({"elliptic": True, "impratio": 1.0, "solref": (0.015, 1.0), "solimp": (0.9, 0.97, 0.001)})
 """Contact model of every legged twin; stable at 5 ms."""
