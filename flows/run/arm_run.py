@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Self
 
 from pydantic import JsonValue
@@ -54,6 +55,8 @@ class ArmRun:
         base: the loop that a control arm is compared with; generation 0 is shared with it.
     """
 
+    sources: Mapping[str, str] = MappingProxyType({})
+    """Stage -> name of the file below stages/ that does it, where that has another name."""
     day: int | None = None
     """Number of the day of a run by the clock, whose nights share an error budget; None by hand [d]."""
 
@@ -84,7 +87,7 @@ class ArmRun:
             made.write(tx)
             tx.finish_step(generation, stage, inputs=self.material.inputs(generation, stage),
                            outputs={"ids": list(made.ids), "says": made.says, **made.numbers},
-                           code=facts.stage_code(stage), wall_s=time.monotonic() - began)
+                           code=facts.stage_code(self.sources.get(stage, stage)), wall_s=time.monotonic() - began)
         return StepResult(made.ids, made.says)
 
     def _shares(self, generation: int, stage: str) -> bool:

@@ -181,5 +181,6 @@ def released(run: ArmRun, generation: int) -> Made:
                                 lambda tx: tx.add_release(new)))
     if champion is None:
         raise GateError(f"generation 0 is not good enough to deploy: {verdict.reason}", where=f"run {run.run}",
-                        mend="collect more demonstrations, or lower gate.bootstrap_success in the recipe")
+                        mend=f"{'raise train.steps' if run.recipe.rl else 'collect more demonstrations'}, "
+                             "or lower gate.bootstrap_success in the recipe")
     return Made((champion.policy,), f"{verdict.decision}: the champion stays", {"released": False}, no_rows)

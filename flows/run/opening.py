@@ -1,6 +1,6 @@
 """From what a person ordered to the stages of one run: recipe, store, lock, steps."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -117,15 +117,26 @@ def open_order(order: Order, root: Path) -> AbstractContextManager[LoopSteps]:
 
 def check_names(recipe: Recipe) -> None:
     """Refuse names that are in no table, before anything is begun."""
-    from pipeline.simulation.bodies import ROBOTS
-    from pipeline.simulation.scenes import SCENES
-    from pipeline.simulation.tasks import TASKS
-
-    tables = (("robot", recipe.robot, ROBOTS), ("scene", recipe.scene, SCENES), ("task", recipe.task, TASKS))
-    for kind, name, table in tables:
+    for kind, name, table in _tables(recipe):
         if name not in table:
             raise ConfigError(
                 f"unknown {kind} {name!r}",
                 where=f"recipe {recipe.name}, {kind}",
                 mend=f"use one of: {', '.join(sorted(table))}",
             )
+
+
+def _tables(recipe: Recipe) -> Sequence[tuple[str, str, Collection[str]]]:
+    """Kind, name and valid names of what a recipe names; a recipe with `rl` is of a legged robot."""
+    if recipe.rl is None:
+        from pipeline.simulation.bodies import ROBOTS
+        from pipeline.simulation.scenes import SCENES
+        from pipeline.simulation.tasks import TASKS
+
+        return ("robot", recipe.robot, ROBOTS), ("scene", recipe.scene, SCENES), ("task", recipe.task, TASKS)
+    from pipeline.locomotion.bodies import LEGGED
+    from pipeline.locomotion.scenes import SCENE
+    from pipeline.locomotion.tasks import LEGGED_TASKS
+
+    return (("robot", recipe.robot, LEGGED), ("scene", recipe.scene, (SCENE,)), ("task", recipe.task, LEGGED_TASKS),
+            ("train.policy", recipe.train.policy, ("ppo",)))

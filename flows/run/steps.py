@@ -22,10 +22,20 @@ def open_run(root: Path, recipe: Recipe, *, seed: int, twin: int, control: bool,
     """The stages of one run under the store's lease, with its control arm beside it where one was asked for."""
     run = run_id(recipe, seed, twin, LOOP)
     with Store.open(root, create=True) as store, store.lease(run) as lease:
-        loop = Steps(store, lease, recipe, seed, twin, LOOP)
+        steps = steps_of(recipe)
+        loop = steps(store, lease, recipe, seed, twin, LOOP)
         if control:
-            loop.control = Steps(store, lease, recipe, seed, twin, arm, loop)
+            loop.control = steps(store, lease, recipe, seed, twin, arm, loop)
         yield loop
+
+
+def steps_of(recipe: Recipe) -> type["Steps"]:
+    """Who turns a recipe: a robot that learns from demonstrations, or a legged one that learns by trying."""
+    if recipe.rl is None:
+        return Steps
+    from flows.run.legged_steps import LeggedSteps
+
+    return LeggedSteps
 
 
 class Steps(ArmRun):

@@ -14,6 +14,7 @@ from pipeline.consent import NO_CONSENTS, Consents
 from pipeline.errors import DatasetError
 from pipeline.files import atomic
 from pipeline.lerobot_view.incomplete import refuse_incomplete
+from pipeline.lerobot_view.layout import MANIFEST
 from pipeline.lerobot_view.manifest import load_version
 from pipeline.lerobot_view.sealing import building, seal, write_manifest
 from pipeline.locomotion.curriculum import Curriculum, HardStart
@@ -75,6 +76,7 @@ class Lesson(Frozen):
             aside: a folder for unfinished things, on the same file system.
         """
         with building(target, aside) as folder:
+            (folder / MANIFEST).parent.mkdir()
             with atomic(folder / FILE) as stream:
                 stream.write(self.model_dump_json(indent=1).encode() + b"\n")
             write_manifest(folder, manifest, {})

@@ -277,6 +277,13 @@ def up_of(quaternion: Array) -> Array:
     return np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1)
 
 
+def rotated(quaternion: Sequence[float], vector: Array, *, back: bool = False) -> Array:
+    """A vector (3,) turned by a quaternion w, x, y, z, or back."""
+    w, (x, y, z) = quaternion[0], (-1 if back else 1) * np.array(quaternion[1:])
+    part = 2 * np.cross([x, y, z], vector)
+    return np.asarray(vector + w * part + np.cross([x, y, z], part), np.float64)
+
+
 def heading_of(quaternion: Array) -> Array:
     """Where the base's x axis points over ground, unit vectors, (n, 4) -> (n, 2)."""
     w, x, y, z = quaternion.T
