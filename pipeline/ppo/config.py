@@ -40,7 +40,7 @@ class PpoConfig(Frozen):
 
 
 PPO_CONFIGS: MappingProxyType[str, PpoConfig] = MappingProxyType(
-    {"stand": PpoConfig(steps=2_000_000), "walk": PpoConfig(steps=2_500_000)})
+    {"stand": PpoConfig(steps=2_000_000), "walk": PpoConfig()})
 """Task -> its tuned numbers; other tasks begin with those of a plain PpoConfig()."""
 
 
