@@ -33,6 +33,8 @@ class Line:
     dashed: bool = False
     strength: float = 1.0
     """Opacity, for a family of lines from old to new."""
+    listed: bool = True
+    """Whether the legend names it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +97,8 @@ def line_chart(title: str, lines: Sequence[Line], x: Axis, y: Axis, *, note: str
     body += [_line(line, x, y) for line in layers]
     body += [_dots(line, x, y) for line in layers if line.tips]
     body += [_end(line, x, y) for line in layers if line.end]
-    legend = [_key(line.name, line.colour, line.dashed, line.strength) for line in lines] if len(lines) > 1 else []
+    named = [line for line in lines if line.listed]
+    legend = [_key(line.name, line.colour, line.dashed, line.strength) for line in named] if len(lines) > 1 else []
     kind = "dots" if any(line.tips for line in lines) else "curve"
     frame = Markup(' data-x="{} {} {}" data-y="{} {} {}"').format(x.low, x.high, x.label, y.low, y.high, int(y.log))
     return _figure(title, note, _svg(f"{title}: {y.label} by {x.label}", Markup("").join(body), HEIGHT, kind, frame),
