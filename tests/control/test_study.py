@@ -41,7 +41,7 @@ def test_both_parts_are_measured_and_drawn(hardcase, short, walker):
     assert found["biped"]["profile"]["zero"]["full"]["estimate"] == 0.0
     picture = ElementTree.parse(svg).getroot()
     titles = [text.text for text in picture.iter("{http://www.w3.org/2000/svg}text")]
-    assert "Arm: the hand and its goal" in titles and "Biped: speed, PPO below a profile" in titles
+    assert "Arm: hand to goal [mm], median" in titles and "Biped: speed forward [m/s], PPO below" in titles
 
 
 @pytest.mark.parametrize(("words", "says"), [
