@@ -74,7 +74,8 @@ class LeggedSteps(Steps):
     @override
     def report(self, progress: Progress) -> StepResult:
         """The page; written anew whenever it is asked for."""
-        from flows.run.legged_reporting import write_legged_report
+        from flows.run.legged_reporting import learned, legged_strips
+        from flows.run.reporting import write_report
 
-        page = write_legged_report(self, progress)
+        page = write_report(self, progress, legged_strips, learned(self))
         return StepResult((str(page),), f"{page}")

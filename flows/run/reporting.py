@@ -1,5 +1,6 @@
 """Reporting: gathers what the report shows, film strips included, and writes the page."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,18 +22,31 @@ from stages.report import report
 
 if TYPE_CHECKING:
     from flows.run.steps import Steps
+    from pipeline.report.learned import Learned
+
+type Strips = tuple[dict[str, FilmStrip], tuple[str, ...]]
+"""Hard case id -> frames of its attempt, and notes for the reader where something is missing."""
+type StripsOf = Callable[["Steps", list[HardCase], Progress], Strips]
 
 STRIPS = 12
 """Hard cases with a film strip; one of each family first."""
 FRAMES = 5
 
 
-def write_report(steps: "Steps", progress: Progress) -> Path:
-    """Write the page of a run, whole, and return its path."""
+def write_report(steps: "Steps", progress: Progress, strips_of: "StripsOf | None" = None,
+                 learned: "tuple[Learned, ...]" = ()) -> Path:
+    """Write the page of a run, whole, and return its path.
+
+    Args:
+        steps: the run.
+        progress: told (film strips made, film strips in all).
+        strips_of: makes the film strips; those of the arm where None.
+        learned: trainings by reinforcement with their curves.
+    """
     page = steps.store.root / "reports" / f"{steps.run}.html"
     cases = steps.store.hard_cases(run=steps.run)
     families = steps.store.families(run=steps.run)
-    strips, notes = film_strips(steps, _choose(cases, families), progress)
+    strips, notes = (strips_of or film_strips)(steps, _choose(cases, families), progress)
     versions = steps.store.versions(run=steps.run)
     counts = {v.id: _by_origin(steps, v.episodes) for v in versions}
     active = running()
@@ -43,7 +57,7 @@ def write_report(steps: "Steps", progress: Progress) -> Path:
         laps=summary.laps(steps), policies=tuple(steps.store.policies(run=steps.run)),
         verdicts=tuple(steps.store.verdicts(run=steps.run)), versions=tuple(versions),
         hard_cases=tuple(ShownCase(c, strips.get(c.id)) for c in cases), families=tuple(families),
-        episodes_by_source=counts,
+        episodes_by_source=counts, learned=learned,
         software={**facts.versions(), "commit": facts.commit()}, store=_counts(steps), notes=notes)
     return report(data, page)
 
@@ -71,7 +85,7 @@ def _choose(cases: list[HardCase], families: list[Family]) -> list[HardCase]:
 
 
 def film_strips(steps: "Steps", cases: list[HardCase],
-                progress: Progress) -> tuple[dict[str, FilmStrip], tuple[str, ...]]:
+                progress: Progress) -> Strips:
     """Hard case id -> frames of its attempt, and why there are none where nothing can be rendered."""
     if not cases:
         return {}, ()

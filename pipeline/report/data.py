@@ -3,6 +3,7 @@
 import base64
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from schemas.dataset import DatasetVersion
 from schemas.hardcase import HardCase
@@ -11,6 +12,9 @@ from schemas.policy import PolicyRecord
 from schemas.recipe import Recipe
 from schemas.summary import Lap, LoopResult
 from schemas.verdict import Verdict
+
+if TYPE_CHECKING:
+    from pipeline.report.learned import Learned
 
 SIGNATURES = ((b"\x89PNG\r\n\x1a\n", "image/png"), (b"\xff\xd8\xff", "image/jpeg"), (b"RIFF", "image/webp"))
 """First bytes of the picture formats that every browser shows."""
@@ -60,6 +64,8 @@ class ReportData:
     """Failure families that were found among them."""
     episodes_by_source: Mapping[str, Mapping[str, int]] = field(default_factory=dict[str, Mapping[str, int]])
     """Dataset version id -> origin -> episodes."""
+    learned: "tuple[Learned, ...]" = ()
+    """Trainings by reinforcement, of the laps in their order; policies that learnt from demonstrations have losses."""
     software: Mapping[str, str] = field(default_factory=dict[str, str])
     """Package -> version."""
     store: Mapping[str, int] = field(default_factory=dict[str, int])

@@ -40,5 +40,13 @@ def families(cases: Iterable[ShownCase], found: Mapping[str, str] = NOTHING_FOUN
 
 def _figures(data: ReportData) -> dict[str, list[Markup]]:
     return {"hero": [figures.hero(data)] if data.result.generations else [], "strata": figures.strata(data),
-            "losses": figures.losses(data), "rewards": figures.rewards(data), "data": figures.data_made(data),
+            "losses": _trainings(data) if data.learned else figures.losses(data),
+            "rewards": figures.rewards(data), "data": figures.data_made(data),
             "failures": figures.failures(data) + signals(data), "times": figures.times(data)}
+
+
+def _trainings(data: ReportData) -> list[Markup]:
+    """What PPO learnt in each lap: how long attempts last, and every reward term on its own."""
+    from pipeline.report.learned import success_charts, term_charts
+
+    return success_charts(data.learned) + term_charts(data.learned)
