@@ -36,7 +36,7 @@ LATE = {"torch", "lerobot", "prefect", "mujoco", "rerun"}
 
 LIGHT = ("schemas/", "pipeline/store/", "pipeline/recording/", "flows/cli.py")
 TWIN_USERS = ("pipeline/twin/", "stages/deploy.py", "stages/harvest.py", "stages/exam.py", "stages/judge.py",
-              "stages/deploy_legged.py",
+              "stages/deploy_legged.py", "flows/studies/odometry.py",
               "flows/run/reporting.py", "flows/run/seeing.py", "flows/teleop/devices.py")
 TRAINING_SIDE = (
     *(f"stages/{stage}.py" for stage in ("collect", "augment", "build", "train", "gate", "nightly", "release",

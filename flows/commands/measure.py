@@ -259,3 +259,20 @@ def warmstart(
     from flows.studies.warmstart import run_warmstart_study
 
     run_warmstart_study(seeds=seeds, steps=steps, further=further, json=json)
+
+
+@measure.command()
+def odometry(
+    policy: Annotated[Path, typer.Argument(help="policy.onnx of a legged robot, or the folder of its training.")],
+    twins: Annotated[list[int] | None, typer.Option("--twin", min=0, help="Twins. [default: 100, 101, 102]")] = None,
+    episodes: Annotated[int, typer.Option(min=1, help="Attempts on each twin.")] = 100,
+    task: Annotated[str, typer.Option(help="What it is to do.")] = "stand",
+    json: Json = None,
+) -> None:
+    """How far the starts that a robot's falls give are from where it truly stood. Half a minute.
+
+    Example: hardcase measure odometry runs/biped --episodes 100 --json odometry.json
+    """
+    from flows.studies.odometry import run_odometry_study
+
+    run_odometry_study(policy, twins=twins or [100, 101, 102], episodes=episodes, task=task, json=json)

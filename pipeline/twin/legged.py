@@ -9,16 +9,15 @@ from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.locomotion.bodies import load_legged
 from pipeline.locomotion.body import LeggedBody
+from pipeline.locomotion.played import played
 from pipeline.locomotion.robots import LeggedRobots, Quirks
 from pipeline.locomotion.tasks import LeggedTask, load_legged_task
 from pipeline.locomotion.world import limits
-from pipeline.ppo.policy import check_fit
-from pipeline.protocols import Array, Ids, Observation, Policy
-from pipeline.simulation.rollout import Result, rollout
+from pipeline.protocols import Policy
+from pipeline.simulation.rollout import Result
 from pipeline.simulation.scenes import Contact
 from pipeline.twin import legged_law
 from schemas.scene import Draw, SceneSpec
@@ -58,15 +57,7 @@ def play_on_twin(policy: Policy, scenes: Sequence[SceneSpec], twin: LeggedTwin, 
     Raises:
         PolicyError: the policy was made for another robot or task.
     """
-    robots = twin_robots(twin, scenes, threads=threads)
-    check_fit(policy, scenes[0].robot, robots.world.width, robots.world.action_size)
-    policy.reset(robots.n)
-
-    def over(tick: int, ids: Ids, observation: Observation, action: Array) -> NDArray[np.bool_]:
-        del tick, observation, action
-        return robots.fell[ids]
-
-    return rollout(robots, policy, watch=over, until_success=False, with_rewards=with_rewards)
+    return played(policy, twin_robots(twin, scenes, threads=threads), with_rewards=with_rewards)
 
 
 def twin_quirks(twin: LeggedTwin, task: LeggedTask) -> Quirks:
