@@ -147,44 +147,48 @@ def collect(run: Run = None, recipe: Recipe = None, policy: Policy = None, seed:
 
 
 @app.command()
-def augment(run: Run = None, json: AsJson = False) -> None:
+def augment(run: Run = None, recipe: Recipe = None, seed: Seed = None, twin: Twin = None,
+            json: AsJson = False) -> None:
     """Make variants of what is new and keep those that succeed.
 
     Example: hardcase augment
     """
-    _stage("augment", run, None, None, None, as_json=json)
+    _stage("augment", run, recipe, seed, twin, as_json=json)
 
 
 @app.command()
-def build(run: Run = None, json: AsJson = False) -> None:
+def build(run: Run = None, recipe: Recipe = None, seed: Seed = None, twin: Twin = None,
+          json: AsJson = False) -> None:
     """Build the dataset version of this generation, a LeRobot v3 folder.
 
     Example: hardcase build --json
     """
-    _stage("build", run, None, None, None, as_json=json)
+    _stage("build", run, recipe, seed, twin, as_json=json)
 
 
 @app.command()
-def train(run: Run = None, policy: Policy = None, json: AsJson = False) -> None:
+def train(run: Run = None, recipe: Recipe = None, policy: Policy = None, seed: Seed = None, twin: Twin = None,
+          json: AsJson = False) -> None:
     """Train the candidate and export it to ONNX; with --policy, that of the newest run which trains this kind.
 
     Example: hardcase train --policy act
     """
-    _stage("train", run, None, None, None, as_json=json, policy=policy)
+    _stage("train", run, recipe, seed, twin, as_json=json, policy=policy)
 
 
 @app.command()
-def gate(run: Run = None, json: AsJson = False) -> None:
+def gate(run: Run = None, recipe: Recipe = None, seed: Seed = None, twin: Twin = None,
+         json: AsJson = False) -> None:
     """Test the candidate against the champion on the same scenes.
 
     Example: hardcase gate --json
     """
-    _stage("gate", run, None, None, None, as_json=json)
+    _stage("gate", run, recipe, seed, twin, as_json=json)
 
 
 @app.command()
 def release(
-    run: Run = None,
+    run: Run = None, recipe: Recipe = None, seed: Seed = None, twin: Twin = None,
     rollback: Annotated[bool, typer.Option("--rollback", help="Go back to the champion before this one.")] = False,
     json: AsJson = False,
 ) -> None:
@@ -197,43 +201,47 @@ def release(
 
         _print(roll_back(run=run), json)
     else:
-        _stage("release", run, None, None, None, as_json=json)
+        _stage("release", run, recipe, seed, twin, as_json=json)
 
 
 @app.command()
-def deploy(run: Run = None, json: AsJson = False) -> None:
+def deploy(run: Run = None, recipe: Recipe = None, seed: Seed = None, twin: Twin = None,
+           json: AsJson = False) -> None:
     """Let the champion work on the twin and record every attempt.
 
     Example: hardcase deploy
     """
-    _stage("deploy", run, None, None, None, as_json=json)
+    _stage("deploy", run, recipe, seed, twin, as_json=json)
 
 
 @app.command()
-def harvest(run: Run = None, json: AsJson = False) -> None:
+def harvest(run: Run = None, recipe: Recipe = None, seed: Seed = None, twin: Twin = None,
+            json: AsJson = False) -> None:
     """Find the hard cases of the last deployment and have them corrected.
 
     Example: hardcase harvest --json
     """
-    _stage("harvest", run, None, None, None, as_json=json)
+    _stage("harvest", run, recipe, seed, twin, as_json=json)
 
 
 @app.command()
-def exam(run: Run = None, json: AsJson = False) -> None:
+def exam(run: Run = None, recipe: Recipe = None, seed: Seed = None, twin: Twin = None,
+         json: AsJson = False) -> None:
     """Examine the champion on the twin starts that no decision reads.
 
     Example: hardcase exam
     """
-    _stage("exam", run, None, None, None, as_json=json)
+    _stage("exam", run, recipe, seed, twin, as_json=json)
 
 
 @app.command()
-def report(run: Run = None, json: AsJson = False) -> None:
+def report(run: Run = None, recipe: Recipe = None, seed: Seed = None, twin: Twin = None,
+           json: AsJson = False) -> None:
     """Write the HTML report of a run and print its path.
 
     Example: hardcase report
     """
-    _stage("report", run, None, None, None, as_json=json)
+    _stage("report", run, recipe, seed, twin, as_json=json)
 
 
 @app.command()

@@ -31,7 +31,7 @@ def run_stage(
     Raises:
         HardcaseError: no such run, or the stage refused.
     """
-    if stage == "train" and policy is not None:
+    if stage == "train" and policy is not None and recipe is None:
         order = recall(store_root(), run, policy)
     else:
         order = _order(run, recipe, seed, twin, policy)

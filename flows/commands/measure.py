@@ -276,3 +276,14 @@ def odometry(
     from flows.studies.odometry import run_odometry_study
 
     run_odometry_study(policy, twins=twins or [100, 101, 102], episodes=episodes, task=task, json=json)
+
+
+@measure.command()
+def legged(seeds: Seeds = 3, recipe: RecipeName = "biped", json: Json = None) -> None:
+    """Falls of a legged robot on its twin, lap by lap, beside as many steps at drawn starts. 10 CPU minutes a seed.
+
+    Example: hardcase measure legged --seeds 3 --json legged.json
+    """
+    from flows.studies.falls import run_falls_study
+
+    run_falls_study(seeds=seeds, recipe=recipe, json=json)

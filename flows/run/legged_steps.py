@@ -32,7 +32,9 @@ class LeggedSteps(Steps):
 
     @override
     def train(self, generation: int, progress: Progress) -> StepResult:
-        """The candidate: PPO, from the champion on."""
+        """The candidate: PPO, from the champion on; by hand, too, its curriculum is made first."""
+        for stage in (*((self.collect,) if not generation else ()), self.augment, self.build):
+            stage(generation, progress)
         return self.once(generation, "train", lambda: legged_learning.trained(self, generation, progress))
 
     @override

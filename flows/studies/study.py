@@ -77,7 +77,7 @@ def useful(recipe: Recipe) -> tuple[str, ...]:
 
 def study_seed(seed: int, recipe: Recipe, folder: Path, names: Sequence[str]) -> dict[str, Any]:
     """Every arm of one seed, in a store of its own; returns what `arm_result` gives for each."""
-    from flows.run.steps import Steps, open_run
+    from flows.run.steps import open_run
 
     done = folder / f"seed-{seed}.json"
     if done.exists():
@@ -90,7 +90,7 @@ def study_seed(seed: int, recipe: Recipe, folder: Path, names: Sequence[str]) ->
     twin, found = FIRST_HELD_OUT_TWIN + seed, dict[str, Any]()
     with open_run(folder / f"store-{seed}", recipe, seed=seed, twin=twin, control=False) as loop:
         for name in names:
-            arm = loop if name == LOOP else Steps(loop.store, loop.lease, recipe, seed, twin, name, loop)
+            arm = loop if name == LOOP else type(loop)(loop.store, loop.lease, recipe, seed, twin, name, loop)
             turn(arm, 0 if ARMS[name].new_data == "none" else recipe.generations)
             found[name] = arm_result(arm)
     result = {"seed": seed, "twin": twin, "arms": found}
