@@ -40,7 +40,7 @@ def of_trace(episode: Episode, trace: Trace, attached: Mapping[str, bytes], *, s
     if episode.scene.object_half_m:
         bodies.append(perceived(trace.environment, episode.scene.object_half_m))
     states = {"phase": changes(trace.phase)} if any(trace.phase) else {}
-    return Shown(_title(episode), even(len(trace), trace.hz) if seconds is None else seconds, lines, tuple(bodies),
+    return Shown(title(episode), even(len(trace), trace.hz) if seconds is None else seconds, lines, tuple(bodies),
                  trace.state[:, 7:10], states | segments(episode), trace.events, facts=about(episode))
 
 
@@ -59,7 +59,7 @@ def of_frames(episode: Episode, frames: Frames, attached: Mapping[str, bytes]) -
     seen = frames.environment.astype(np.float64)
     place = np.concatenate([seen[:, :3], yawed(seen[:, 3])], axis=1)
     bodies.append(Body("object", cube(episode.scene, xml), place))
-    return Shown(_title(episode), even(len(frames), episode.control_hz), _lines(frames), tuple(bodies),
+    return Shown(title(episode), even(len(frames), episode.control_hz), _lines(frames), tuple(bodies),
                  frames.state[:, 7:10].astype(np.float64), segments(episode), facts=about(episode))
 
 
@@ -71,7 +71,7 @@ def of_table(episode: Episode, table: Table) -> Shown:
     for feature, names in table.names.items():
         for k, name in enumerate(names):
             lines[_place(feature, name, measured)] = columns[feature][:, k].astype(np.float64)
-    return Shown(_title(episode), even(len(table), episode.control_hz), lines, states=segments(episode),
+    return Shown(title(episode), even(len(table), episode.control_hz), lines, states=segments(episode),
                  facts=about(episode))
 
 
@@ -135,7 +135,8 @@ def _place(feature: str, name: str, measured: set[str]) -> str:
     return f"{feature.replace('/', '.')}/{plain}"
 
 
-def _title(episode: Episode) -> str:
+def title(episode: Episode) -> str:
+    """Where an attempt comes from, which it is, and how it ended."""
     outcome = episode.outcome.family or episode.outcome.label
     return f"{episode.origin} {episode.id[:8]}: {outcome}"
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.browsing.attempts import about, by_joint, of_trace, segments
+from pipeline.browsing.legged import of_legged
 from pipeline.browsing.shown import Pictures, Shown, even
 from pipeline.recording import cdr
 from pipeline.recording.dialect import FRAME_TOPICS, every_tick
@@ -35,6 +36,8 @@ def of_recording(path: Path, episode: Episode | None = None) -> tuple[Shown, Ope
     start_ns, seconds = _clock(first, opened.episode)
     if all(topic in topics for topic in FRAME_TOPICS):
         shown = of_trace(record, opened.decoder.trace(), opened.attachments, seconds=seconds)
+    elif record.scene.legged is not None:
+        shown = of_legged(record, opened.decoder.trace(), opened.attachments, seconds=seconds)
     else:
         shown = Shown(f"{record.origin} {record.id[:8]}", seconds, _joints(topics, len(seconds)),
                       states=segments(record), events=opened.decoder.events(), facts=about(record))

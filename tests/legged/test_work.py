@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pipeline.browsing.recording import of_recording
 from pipeline.errors import ConfigError, PolicyError, RecordingError, SimulationError
 from pipeline.locomotion.bodies import load_legged
 from pipeline.locomotion.falls import FallSenses, fall_family, fallen
@@ -105,6 +106,17 @@ def test_a_recording_holds_all_as_it_was_and_what_viewers_need(alone, tmp_path):
     files = read_attachments(alone.files[0])
     assert b"left_foot" in files["robot.urdf"] and b"payload" in files["scene.xml"]
     assert "left_foot" in trace.links and np.ptp(trace.link_poses[:, trace.links.index("torso"), 2]) > 0.05
+
+
+def test_a_viewer_shows_the_robot_moving_on_its_ground(alone):
+    episode, trace = fallen_attempts(alone)[0]
+    path = next(f for f in alone.files if f.stem == episode.id)
+    shown, _ = of_recording(path)
+    moving = {body.name: body for body in shown.bodies}
+    assert {"ground", "torso", "left_foot"} <= moving.keys() and np.ptp(moving["torso"].poses[:, 2]) > 0.05
+    assert np.array_equal(shown.lines["joints/left_knee/state"], trace.joint_position[:, trace.joints.index("left_knee")])
+    assert shown.lines["balance/lean"][-1] == pytest.approx(np.arccos(trace.state[-1, 5]), abs=1e-5)
+    assert episode.outcome.family in shown.title and len(shown.path) == len(trace)
 
 
 def test_a_fall_becomes_a_hard_case_whose_start_is_what_was_sensed_and_near_the_truth(alone):
