@@ -73,6 +73,29 @@ def clone(
 
 
 @rl.command()
+def report(
+    runs: Annotated[list[Path], typer.Argument(help="Folders of trainings; seeds of one order are drawn together.")],
+    out: Annotated[Path | None, typer.Option(help="The page. [default: reports/rl-ID.html in the store]")] = None,
+    attempts: Annotated[int, typer.Option(min=0, help="Starts of an evaluation; 0 for none.")] = 300,
+    seed: Annotated[int, typer.Option(min=0, help="Of the starts, which no training meets.")] = 0,
+    stratum: Annotated[list[str] | None, typer.Option(
+        help="Kind of start that is judged; may be given again. [default: the training's and the first]")] = None,
+    threads: Threads = 1,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON for machines.")] = False,
+) -> None:
+    """Write a page of trainings: success, each reward term, PPO's own figures, evaluation, orders and hashes.
+
+    What is not evaluated yet is evaluated now, and kept beside the training.
+
+    Example: hardcase rl report datasets/store/rl/biped-stand-0 datasets/store/rl/biped-stand-1 --out stand.html
+    """
+    from flows.rl.reporting import run_report
+
+    typer.echo(run_report(runs, out, attempts=attempts, seed=seed, strata=tuple(stratum or ()), threads=threads,
+                          as_json=json))
+
+
+@rl.command()
 def evaluate(
     policy: Annotated[Path, typer.Argument(help="policy.onnx, or the folder of a training.")],
     attempts: Annotated[int, typer.Option(min=1, help="Starts, each played once to its end.")] = 300,

@@ -55,7 +55,7 @@ class Axis:
 
     def write(self, value: float) -> str:
         """A tick as text."""
-        return f"{100 * value:.0f}%" if self.percent else f"{value:,.6g}".replace("-", "−")
+        return f"{100 * value:.0f}%" if self.percent else f"{value:,.9g}".replace("-", "−")
 
 
 def shares(label: str = "success") -> Axis:

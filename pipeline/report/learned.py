@@ -21,9 +21,9 @@ SEED, MEAN = 0.4, 1.0
 BASELINE_COLOURS = (7, 5)
 GROUP_COLOURS = (0, 1, 2, 3, 4, 6)
 UPDATES: Mapping[str, tuple[str, str, str]] = MappingProxyType({
-    "entropy": ("Entropy", "nat", "of the actions that are drawn; falls as the policy makes up its mind"),
-    "kl": ("KL divergence", "nat", "from the policy before the update, mean over its last pass"),
-    "clipped": ("Clipped", "share", "of samples whose probability changed by more than PPO lets count"),
+    "entropy": ("Entropy [nat]", "nat", "of the actions that are drawn; falls as the policy makes up its mind"),
+    "kl": ("KL divergence [nat]", "nat", "from the policy before the update, mean over its last pass"),
+    "clipped": ("Share clipped", "share", "of samples whose probability changed by more than PPO lets count"),
     "explained": ("Explained variance", "share", "of the returns that the critic foretold; 1 is all, 0 is none"),
     "value_loss": ("Critic's loss", "squared scaled return", "mean squared error"),
 })
@@ -53,9 +53,9 @@ def success_charts(learned: Sequence[Learned]) -> list[Markup]:
     return [
         _chart("Full attempts", learned, full_share, shares("of those that ended"),
                note="share that had not fallen when their time was up, while actions are drawn"),
-        _chart("Length of attempts", learned, lambda points: _per(_mean_length(points), hz), None, unit="s",
+        _chart("Length of attempts [s]", learned, lambda points: _per(_mean_length(points), hz), None, unit="s",
                note="mean of those that ended"),
-        _chart("Reward", learned, lambda points: _mean(p["reward"] for p in points), None, unit="a tick",
+        _chart("Reward a tick", learned, lambda points: _mean(p["reward"] for p in points), None, unit="a tick",
                note="sum of the terms below"),
     ]
 
