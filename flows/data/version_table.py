@@ -12,6 +12,7 @@ from rich.table import Table
 
 from flows.data.deriving import named_version
 from pipeline.arrow import read_parquet
+from pipeline.lerobot_view.incomplete import CURRICULUM
 from pipeline.lerobot_view.layout import EPISODES, INFO
 from pipeline.lerobot_view.opened import FIELDS, open_version
 from pipeline.query import Fields, parse
@@ -54,6 +55,10 @@ def _told(store: Store, version: DatasetVersion, files: Mapping[int, int],
         "own_bytes": own, "shared_bytes": sum(files.values()) - own, "parents": _parents(version),
         "edits": [line(e) for e in version.edits], "redacted": (folder / STATEMENT).is_file(),
         "erased": len(version.erased), "weights": version.weights}
+    if (folder / CURRICULUM).is_file():
+        kinds = Counter("held out for the gate" if e in version.held_out else "that teach" for e in version.episodes)
+        starts = {f"starts of falls {kind}": n for kind, n in kinds.items()} or {"kinds of start, drawn": 1}
+        return {**told, "sources": starts, "success": None, "cameras": [], "missing": False}
     if not (folder / EPISODES).is_file():
         return {**told, "sources": {}, "success": None, "cameras": [], "missing": True}
     table = read_parquet(folder / EPISODES, ["source", "outcome"])

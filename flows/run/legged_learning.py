@@ -57,7 +57,8 @@ def trained(run: ArmRun, generation: int, progress: Progress) -> Made:
     policy = train(version, data, config, seed=run.seed * LAPS + generation, store=run.store.root,
                    progress=lambda done, total, reward: progress(done, total))
     begins = f", from {config.goes_on} on" if config.goes_on else ""
-    return Made((policy.id,), f"{config.steps:,} steps of PPO{begins}, ONNX within {policy.onnx_error:.0e}", {},
+    return Made((policy.id,), f"{config.steps:,} steps of PPO{begins}, ONNX within {policy.onnx_error:.0e}",
+                {"goes_on": config.goes_on},
                 lambda tx: tx.add_policy(policy))
 
 

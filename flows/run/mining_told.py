@@ -8,7 +8,7 @@ from rich.console import Console, Group
 from rich.table import Column, Table
 
 from flows.run.mining import before, mined_at
-from flows.run.opening import open_order, recall
+from flows.run.opening import open_order, recall, refuse_legged
 from flows.run.regression import solved_of
 from flows.run.shadow_report import deployed_lap
 from flows.run.steps import Steps
@@ -58,6 +58,7 @@ def mine_run(root: Path, run: str | None, generation: int | None, *, film: bool)
     """
     with open_order(recall(root, run), root) as steps:
         assert isinstance(steps, Steps)
+        refuse_legged(steps.recipe, "mining")
         lap = deployed_lap(steps, generation)
         families: list[Family] = []
         mined = Mined((), (), ())

@@ -115,6 +115,18 @@ def open_order(order: Order, root: Path) -> AbstractContextManager[LoopSteps]:
     return open_run(root, order.recipe, seed=order.seed, twin=order.twin, control=order.control)
 
 
+def refuse_legged(recipe: Recipe, what: str) -> None:
+    """Return for a robot that learns from demonstrations.
+
+    Raises:
+        ConfigError: the recipe is of a legged robot.
+    """
+    if recipe.rl is not None:
+        raise ConfigError(f"{what} is for robots that learn from demonstrations", where=f"recipe {recipe.name}: rl",
+                          mend="what a legged policy learnt from: hardcase why POLICY; what hard starts are worth: "
+                               "hardcase loop --control")
+
+
 def check_names(recipe: Recipe) -> None:
     """Refuse names that are in no table, before anything is begun."""
     for kind, name, table in _tables(recipe):

@@ -8,7 +8,7 @@ from rich.console import Console, Group
 from rich.table import Table
 
 from flows.run.judging import judged_at, sensed_at
-from flows.run.opening import open_order, recall
+from flows.run.opening import open_order, recall, refuse_legged
 from flows.run.steps import Steps
 from pipeline.counterfactual.cases import cases_of
 from pipeline.errors import PolicyError, StoreError
@@ -46,6 +46,7 @@ def judge_candidate(root: Path, candidate: str, *, run: str | None, generation: 
     """
     with open_order(recall(root, run), root) as steps:
         assert isinstance(steps, Steps)
+        refuse_legged(steps.recipe, "judging disagreements")
         id, lap = _policy(steps, candidate), deployed_lap(steps, generation)
         champion = str(steps.store.episode(steps.material.ids(lap, "deploy")[0]).policy)
         if id == champion:

@@ -18,6 +18,7 @@ from pipeline.errors import DatasetError
 from pipeline.files import sync_folder
 from pipeline.lerobot_view.deriving import clips_of, write_derived
 from pipeline.lerobot_view.draft import Draft
+from pipeline.lerobot_view.incomplete import CURRICULUM
 from pipeline.lerobot_view.manifest import load_version, read_manifest
 from pipeline.lerobot_view.opened import Opened, open_version
 from pipeline.lerobot_view.plan import Plan, planned
@@ -72,7 +73,12 @@ def erase(folder: Path, loss: Loss, aside: Path, resign: Resign = _unsigned) -> 
     version = load_version(folder)
     if not loss.episodes.isdisjoint(version.episodes):
         aside.mkdir(parents=True, exist_ok=True)
-        _write(new, _with_hashes(open_version(folder, version), loss), loss, resign)
+        if (folder / CURRICULUM).is_file():
+            from pipeline.locomotion.lesson import write_without
+
+            write_without(new, folder, loss.episodes, loss.hashes)
+        else:
+            _write(new, _with_hashes(open_version(folder, version), loss), loss, resign)
         folder.rename(old)
         new.rename(folder)
         sync_folder(folder.parent)

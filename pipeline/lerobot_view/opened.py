@@ -14,6 +14,7 @@ from pipeline.arrow import read_parquet
 from pipeline.errors import DatasetError
 from pipeline.files import sha256_file
 from pipeline.lerobot_view import layout
+from pipeline.lerobot_view.incomplete import refuse_starts
 from pipeline.lerobot_view.manifest import read_manifest
 from pipeline.query import Fields
 from schemas.dataset import DatasetVersion
@@ -146,6 +147,7 @@ def open_version(folder: Path, version: DatasetVersion) -> Opened:
     Raises:
         DatasetError: no version, another one than was catalogued, or a table that is missing or was changed.
     """
+    refuse_starts(folder)
     manifest = read_manifest(folder)
     if manifest["version"]["id"] != version.id:
         raise DatasetError(f"the folder holds version {manifest['version']['id']}, not {version.id}", where=folder,

@@ -4,24 +4,22 @@ The folder holds `curriculum.json` and the manifest that every version has: line
 they treat versions of frames.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 from pydantic import Field, ValidationError
 
 from pipeline.consent import NO_CONSENTS, Consents
 from pipeline.errors import DatasetError
 from pipeline.files import atomic
-from pipeline.lerobot_view.incomplete import refuse_incomplete
+from pipeline.lerobot_view.incomplete import CURRICULUM, refuse_incomplete
 from pipeline.lerobot_view.layout import MANIFEST
-from pipeline.lerobot_view.manifest import load_version
+from pipeline.lerobot_view.manifest import load_version, read_manifest
 from pipeline.lerobot_view.sealing import building, seal, write_manifest
 from pipeline.locomotion.curriculum import Curriculum, HardStart
 from pipeline.locomotion.tasks import LeggedTask
 from schemas.base import Frozen, ShortId
-
-FILE = "curriculum.json"
 
 
 class Lesson(Frozen):
@@ -62,9 +60,9 @@ class Lesson(Frozen):
             DatasetError: it is no curriculum.
         """
         try:
-            return cls.model_validate_json((folder / FILE).read_bytes())
+            return cls.model_validate_json((folder / CURRICULUM).read_bytes())
         except (OSError, ValidationError) as error:
-            raise DatasetError("not a curriculum of a legged robot", where=folder / FILE,
+            raise DatasetError("not a curriculum of a legged robot", where=folder / CURRICULUM,
                                mend="give a version that hardcase build has made for a recipe with rl") from error
 
     def write(self, target: Path, manifest: Mapping[str, object], *, aside: Path) -> None:
@@ -77,7 +75,7 @@ class Lesson(Frozen):
         """
         with building(target, aside) as folder:
             (folder / MANIFEST).parent.mkdir()
-            with atomic(folder / FILE) as stream:
+            with atomic(folder / CURRICULUM) as stream:
                 stream.write(self.model_dump_json(indent=1).encode() + b"\n")
             write_manifest(folder, manifest, {})
             seal(folder)
@@ -93,8 +91,23 @@ class Lesson(Frozen):
             "needs": {e: n for e, n in self.needs.items() if e not in episodes}})
 
 
-def is_lesson(folder: Path) -> bool:
-    """Whether a version is a curriculum rather than frames."""
-    return (folder / FILE).is_file()
+def write_without(new: Path, old: Path, episodes: frozenset[str], hashes: Collection[str]) -> None:
+    """Write a curriculum's folder once more without the starts of some episodes; its manifest says what it lost.
 
-
+    Args:
+        new: the folder, which must not exist yet.
+        old: the curriculum as it is.
+        episodes: what goes.
+        hashes: of recordings that go.
+    """
+    lesson, manifest = Lesson.read(old), read_manifest(old)
+    version: dict[str, Any] = dict(manifest["version"])
+    cases = {s.case for s in (*lesson.curriculum.starts, *lesson.held_out) if s.episode in episodes}
+    lost = [id for id in version["episodes"] if id in episodes]
+    version |= {"episodes": [id for id in version["episodes"] if id not in episodes],
+                "held_out": [id for id in version["held_out"] if id not in episodes],
+                "inputs": [sha for sha in version["inputs"] if sha not in hashes],
+                "starts": [id for id in version["starts"] if id not in cases],
+                "erased": [*version.get("erased", ()), *lost]}
+    said = {name: value for name, value in manifest.items() if name not in ("files", "version")}
+    lesson.without(episodes).write(new, {**said, "version": version}, aside=new.parent)

@@ -76,7 +76,7 @@ def _policy(store: Reader, id: str, full: bool) -> Lineage:
         "kind": p.kind, "generation": str(p.generation), "seed": str(p.seed), "steps": str(p.steps),
         "config": p.config, "training code": p.code, "checkpoint": p.checkpoint,
         "files": some([f"{name} {sha if full else sha[:12]}" for name, sha in sorted(p.files.items())], full),
-        **made(store, "policy", id), **lost(store, p.dataset, "saw what was forgotten"),
+        **_went_on(store, id), **made(store, "policy", id), **lost(store, p.dataset, "saw what was forgotten"),
     }  # fmt: skip
     verdicts = [_verdict_line(store, v.id) for v in store.verdicts(candidate=id)]
     return Lineage(
@@ -85,6 +85,14 @@ def _policy(store: Reader, id: str, full: bool) -> Lineage:
         facts=facts | releases(store, id),
         children=(*_runs(store, "policy", id, full), *verdicts, _version(store, p.dataset, full, "trained on")),
     )
+
+
+def _went_on(store: Reader, id: str) -> dict[str, str]:
+    """The policy whose weights a training began with, if it did not begin at random ones."""
+    rows = store.query("SELECT json_extract(step.json, '$.outputs.goes_on') FROM member JOIN step USING (run)"
+                       " WHERE member.kind = 'policy' AND member.id = ? AND step.stage = 'train'"
+                       " AND json_extract(step.json, '$.outputs.ids[0]') = member.id", (id,))
+    return {"went on from": f"policy {rows[0][0]}"} if rows and rows[0][0] else {}
 
 
 def _version(store: Reader, id: str, full: bool, role: str = "") -> Lineage:
@@ -102,6 +110,8 @@ def _version(store: Reader, id: str, full: bool, role: str = "") -> Lineage:
         **({"edits": "; ".join(map(line, v.edits))} if v.edits else {}),
         **checked(store, v.digest), **worth_of(store, v.episodes), **lost(store, id, "incomplete"),
     }  # fmt: skip
+    if v.starts:
+        facts["hard cases"] = f"{len(v.starts)}: {some(v.starts, full)}"
     groups = [_group(store, origin, members, full) for origin, members in by_origin.items()]
     return Lineage(kind="version", id=id, role=role, facts=facts, children=tuple(groups))
 

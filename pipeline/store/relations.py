@@ -44,6 +44,8 @@ BACK: MappingProxyType[str, tuple[Relation, ...]] = MappingProxyType({
     "hard_case": (Relation("episode", f"SELECT id, episode FROM hard_case WHERE id IN {IDS}"),),
     "version": (
         Relation("episode", f"SELECT version, episode FROM version_episode WHERE version IN {IDS}"),
+        Relation("hard_case", "SELECT version.id, value FROM version, json_each(version.json, '$.starts')"
+                              f" WHERE version.id IN {IDS}"),
         Relation("erased", f"SELECT version, episode FROM erased_version WHERE version IN {IDS}"),
         Relation("version", f"SELECT id, parent FROM version WHERE id IN {IDS} AND parent NOT NULL"),
     ),
@@ -89,7 +91,10 @@ FORWARD: MappingProxyType[str, tuple[Relation, ...]] = MappingProxyType({
         Relation("version", f"SELECT episode, version FROM version_episode WHERE episode IN {IDS}"),
     ),
     "hard_case": (Relation("episode", "SELECT id, correction FROM hard_case"
-                                      f" WHERE id IN {IDS} AND correction NOT NULL"),),
+                                      f" WHERE id IN {IDS} AND correction NOT NULL"),
+                  Relation("version", "SELECT hard_case.id, version.id FROM hard_case JOIN version_episode USING"
+                                      " (episode) JOIN version ON version.id = version, json_each(version.json,"
+                                      f" '$.starts') WHERE hard_case.id IN {IDS} AND value = hard_case.id")),
     "version": (
         Relation("policy", f"SELECT dataset, id FROM policy WHERE dataset IN {IDS}"),
         Relation("version", f"SELECT parent, id FROM version WHERE parent IN {IDS}"),
