@@ -11,11 +11,14 @@ from pipeline.check.motion import unit_of
 from pipeline.check.signals import Signals, Subject, Tables
 from pipeline.documents import load_document
 from pipeline.frames import ENVIRONMENT, FEATURES, STATE
-from pipeline.recording.dialect import FRAME_TOPICS, topic_type
+from pipeline.recording.dialect import FRAME_TOPICS, LEGGED_TOPICS, topic_type
 from pipeline.simulation.tasks import TASKS
 from schemas.contract import Contract, Evaluation, Limit, Pair, Success, TopicRule
 
 EXAMPLE = "see docs/check.md, or write one from a good log: hardcase check LOG --init"
+LEGGED_ACTION = "/command/joints"
+"""Topic that legged robots alone have. Legs bear a load: their joints need not go where their servos are told, and
+targets may lie beyond a stop, for that is how a servo of limited stiffness is asked for force."""
 STEPS = {"ee_x": "dx", "ee_y": "dy", "ee_z": "dz", "ee_yaw": "dyaw"}
 PAIRS = (
     Pair(measured="/joint_states.position", commanded="/joint_commands.position"),
@@ -62,6 +65,8 @@ def completed(contract: Contract, subject: Subject) -> Contract:
 
 def _pairs(signals: Signals) -> tuple[Pair, ...]:
     """Those of PAIRS that this recording has; a dataset's joint targets, if it has them, instead of its action."""
+    if LEGGED_ACTION in signals.topics:
+        return ()
     there = [p for p in PAIRS if signals.find(p.measured) and (found := signals.find(p.commanded))
              and (not p.columns or set(p.columns.values()) <= set(found[2].names))]
     return tuple(p for p in there if p.columns or p.commanded != "action" or len(there) == 1)
@@ -69,7 +74,8 @@ def _pairs(signals: Signals) -> tuple[Pair, ...]:
 
 def _dialect(hz: float, signals: Signals) -> dict[str, TopicRule]:
     """What every recording of ours has; one of another robot has the joints alone."""
-    names = FRAME_TOPICS if "/command/ee" in signals.topics else ("/joint_states", "/joint_commands")
+    names = FRAME_TOPICS if "/command/ee" in signals.topics else (
+        LEGGED_TOPICS if LEGGED_ACTION in signals.topics else ("/joint_states", "/joint_commands"))
     return {name: TopicRule(type=topic_type(name), rate_hz=hz) for name in names}
 
 
@@ -80,7 +86,9 @@ def _limits(signals: Signals) -> dict[str, dict[str, Limit]]:
     for reference, _, column in signals.numbers():
         if reference.endswith((".velocity", ".effort")):
             continue
-        if reference.endswith(("joint_states.position", "joint_commands.position")):
+        if reference == "/joint_commands.position" and LEGGED_ACTION in signals.topics:
+            found[reference] = {n: Limit(unit="rad") for n in column.names}
+        elif reference.endswith(("joint_states.position", "joint_commands.position")):
             found[reference] = {n: joints.get(n, Limit(unit=unit_of(n, Contract(), reference))) for n in column.names}
         elif reference != "action" and set(column.names) <= KNOWN:
             found[reference] = {n: Limit(unit="rad" if "joint" in n or "yaw" in n else "m") for n in column.names}

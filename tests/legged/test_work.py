@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from pipeline.browsing.recording import of_recording
+from pipeline.check.load import read_recording
+from pipeline.check.run import check
 from pipeline.errors import ConfigError, PolicyError, RecordingError, SimulationError
 from pipeline.locomotion.bodies import load_legged
 from pipeline.locomotion.falls import FallSenses, fall_family, fallen
@@ -21,6 +23,7 @@ from pipeline.recording.read import read_attachments, read_frames
 from pipeline.simulation.recordings import record
 from pipeline.simulation.tasks import scene_seed
 from pipeline.twin.legged import draw_legged_twin, play_on_twin, twin_robots
+from schemas.contract import Contract
 from schemas.recipe import DeployConfig, Recipe
 from schemas.scene import SceneSpec
 from stages.deploy_legged import deploy_legged, deploy_legged_scenes
@@ -108,13 +111,19 @@ def test_a_recording_holds_all_as_it_was_and_what_viewers_need(alone, tmp_path):
     assert "left_foot" in trace.links and np.ptp(trace.link_poses[:, trace.links.index("torso"), 2]) > 0.05
 
 
+def test_the_checks_accuse_no_recording_of_a_legged_robot(alone):
+    for path in alone.files[:3]:
+        assert check(read_recording(path), Contract()).findings == ()
+
+
 def test_a_viewer_shows_the_robot_moving_on_its_ground(alone):
     episode, trace = fallen_attempts(alone)[0]
     path = next(f for f in alone.files if f.stem == episode.id)
     shown, _ = of_recording(path)
     moving = {body.name: body for body in shown.bodies}
     assert {"ground", "torso", "left_foot"} <= moving.keys() and np.ptp(moving["torso"].poses[:, 2]) > 0.05
-    assert np.array_equal(shown.lines["joints/left_knee/state"], trace.joint_position[:, trace.joints.index("left_knee")])
+    knee = trace.joint_position[:, trace.joints.index("left_knee")]
+    assert np.array_equal(shown.lines["joints/left_knee/state"], knee)
     assert shown.lines["balance/lean"][-1] == pytest.approx(np.arccos(trace.state[-1, 5]), abs=1e-5)
     assert episode.outcome.family in shown.title and len(shown.path) == len(trace)
 
