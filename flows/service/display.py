@@ -143,15 +143,19 @@ def verdict_lines(verdict: Verdict) -> list[str]:
     return lines
 
 
-def show_result(console: Console, result: LoopResult, verdict: Verdict | None, report: Path | None) -> None:
-    """Everything a finished loop has to say on a screen."""
-    title = "Success in the exam by generation, with 95 % intervals (mix: as in deployment)"
-    console.print(success_table(result.generations, title))
+def show_result(console: Console, result: LoopResult, verdict: Verdict | None, report: Path | None, *,
+                legged: bool = False) -> None:
+    """Everything a finished loop has to say on a screen; a legged robot succeeds where it does not fall."""
+    what = "Attempts without a fall" if legged else "Success"
+    console.print(success_table(result.generations,
+                                f"{what} in the exam by generation, with 95 % intervals (mix: as in deployment)"))
     if result.control:
-        console.print(success_table(result.control, "Control: as many new episodes at random starts"))
+        new = "many steps of PPO at drawn starts" if legged else "many new episodes at random starts"
+        console.print(success_table(result.control, f"Control: as {new}"))
     console.print(chart(result.generations))
     last, paired = result.generations[-1], result.paired
-    console.print(f"Robot time {duration(last.robot_s)}, {last.corrections} corrections asked for", highlight=False)
+    asked = "" if legged else f", {last.corrections} corrections asked for"
+    console.print(f"Robot time {duration(last.robot_s)}{asked}", highlight=False)
     console.print(
         f"Generation 0 against the last on the same starts: {paired.fixed} fixed, {paired.broken} broken, "
         f"p = {paired.p:.2g} (this pair of policies, nothing more)",

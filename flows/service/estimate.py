@@ -54,6 +54,8 @@ def expected_s(step: Step, recipe: Recipe) -> float:
     A gate ends at any of its looks: their mean is expected.
     """
     first = step.generation == 0
+    if recipe.rl is not None:
+        return _legged_s(step.stage, recipe, recipe.train.steps if first else recipe.rl.lap_steps)
     augment, harvest, looks = recipe.augment, recipe.harvest, recipe.gate.looks
     variants = augment.replays + augment.retargets if first else augment.per_correction * harvest.corrections
     played = looks[0] if first else 2 * sum(looks) / len(looks)
@@ -71,6 +73,15 @@ def expected_s(step: Step, recipe: Recipe) -> float:
         "worth": 0.0 if first else (0.6 + 0.0026 * recipe.train.steps) * max(1, 2 * harvest.worth_seeds),
         "report": 1.0,
     }[step.stage]
+
+
+def _legged_s(stage: str, recipe: Recipe, steps: int) -> float:
+    """The same for a legged robot: what counts is how many ticks are simulated, 300 an attempt."""
+    attempts = {"gate": 2 * recipe.gate.looks[0], "exam": recipe.exam.common + recipe.exam.rare,
+                "deploy": recipe.deploy.episodes}
+    if stage == "train":
+        return 1.0 + 1e-4 * steps
+    return 0.2 + 0.025 * attempts[stage] if stage in attempts else 2.0 if stage == "report" else 0.05
 
 
 class Clock:

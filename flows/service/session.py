@@ -51,7 +51,7 @@ def run_loop(order: Order, root: Path, *, json: Path | None, browse: bool) -> Lo
         if json is not None:
             with atomic(json) as stream:
                 stream.write(result.model_dump_json(indent=1).encode() + b"\n")
-        show_result(Console(), result, verdict, page)
+        show_result(Console(), result, verdict, page, legged=order.recipe.rl is not None)
         sys.stdout.flush()
     if browse and page is not None:
         open_page(page)
