@@ -37,11 +37,12 @@ LATE = {"torch", "lerobot", "prefect", "mujoco", "rerun"}
 LIGHT = ("schemas/", "pipeline/store/", "pipeline/recording/", "flows/cli.py")
 TWIN_USERS = ("pipeline/twin/", "stages/deploy.py", "stages/harvest.py", "stages/exam.py", "stages/judge.py",
               "stages/deploy_legged.py", "flows/studies/odometry.py",
+              "stages/exam_legged.py", "flows/run/legged_reporting.py",
               "flows/run/reporting.py", "flows/run/seeing.py", "flows/teleop/devices.py")
 TRAINING_SIDE = (
     *(f"stages/{stage}.py" for stage in ("collect", "augment", "build", "train", "gate", "nightly", "release",
                                   "estimate")),
-    "flows/run/learning.py", "flows/run/nights.py",
+    "stages/assemble.py", "flows/run/learning.py", "flows/run/legged_learning.py", "flows/run/nights.py",
 )
 PICKLES = {"pickle", "cPickle", "cloudpickle", "dill", "joblib", "shelve", "marshal"}
 
