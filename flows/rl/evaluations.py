@@ -23,14 +23,15 @@ def kept_evaluation(folder: Path, *, attempts: int, seed: int, stratum: str, thr
     policy = sha256_file(folder / POLICY)
     asked = {"attempts": attempts, "seed": seed, "stratum": stratum, "policy_sha256": policy}
     there = _read(folder / KEPT)
-    for found in there:
-        if all(found.get(key) == value for key, value in asked.items()) and _whole(found, attempts):
+    same = [one for one in there if all(one.get(key) == value for key, value in asked.items())]
+    for found in same:
+        if _whole(found, attempts):
             return found
     bits: dict[str, str] = {}
     found = evaluated(folder, attempts=attempts, seed=seed, stratum=stratum, threads=threads,
                       outcomes=lambda name, done: bits.update({name: "".join(str(int(one)) for one in done.full)}))
     found |= {"policy_sha256": policy, "outcomes": bits}
-    write_json(folder / KEPT, [one for one in there if one.get("policy_sha256") == policy] + [found])
+    write_json(folder / KEPT, [one for one in there if one.get("policy_sha256") == policy and one not in same] + [found])
     return found
 
 

@@ -2,6 +2,7 @@
 
 import io
 import math
+import shutil
 
 import pytest
 from PIL import Image, ImageDraw
@@ -29,6 +30,22 @@ COMMON, RARE = (281, 288, 292, 294), (2, 46, 66, 74)
 CONTROL = ((280, 1), (285, 5), (287, 9), (288, 13))
 DECISIONS = ("BOOTSTRAP", "PASS", "INCONCLUSIVE", "PASS")
 FAMILIES = (("missed_grasp", "closed_on_nothing"), ("never_reached", "stall"), ("dropped", "dropped"))
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+ARGUMENTS = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking",
+             "--disable-component-update", "--disable-sync", "--no-first-run"]
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    """A real browser that has no network to lean on."""
+    if BROWSER is None:
+        pytest.skip("no browser: sudo apt-get install -y chromium")
+    from playwright.sync_api import sync_playwright
+    with sync_playwright() as playwright:
+        context = playwright.chromium.launch_persistent_context(
+            str(tmp_path_factory.mktemp("profile")), executable_path=BROWSER, args=ARGUMENTS)
+        yield context
+        context.close()
 
 
 def proportion(successes: int, n: int) -> Proportion:

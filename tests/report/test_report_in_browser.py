@@ -1,6 +1,5 @@
 """The report as a reader sees it, in a real browser that has no network to lean on."""
 
-import shutil
 from dataclasses import replace
 
 import pytest
@@ -8,23 +7,8 @@ import pytest
 from pipeline.report.data import FilmStrip
 from stages.report import report
 
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-ARGUMENTS = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking",
-             "--disable-component-update", "--disable-sync", "--no-first-run"]
 PAIRS = (("ink", "page"), ("ink", "card"), ("soft", "page"), ("soft", "card"), ("accent", "page"),
          ("good", "good-bg"), ("bad", "bad-bg"), ("open", "open-bg"))
-
-pytestmark = pytest.mark.skipif(BROWSER is None, reason="no browser: sudo apt-get install -y chromium")
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    from playwright.sync_api import sync_playwright
-    with sync_playwright() as playwright:
-        context = playwright.chromium.launch_persistent_context(
-            str(tmp_path_factory.mktemp("profile")), executable_path=BROWSER, args=ARGUMENTS)
-        yield context
-        context.close()
 
 
 @pytest.fixture
