@@ -31,7 +31,8 @@ def kept_evaluation(folder: Path, *, attempts: int, seed: int, stratum: str, thr
     found = evaluated(folder, attempts=attempts, seed=seed, stratum=stratum, threads=threads,
                       outcomes=lambda name, done: bits.update({name: "".join(str(int(one)) for one in done.full)}))
     found |= {"policy_sha256": policy, "outcomes": bits}
-    write_json(folder / KEPT, [one for one in there if one.get("policy_sha256") == policy and one not in same] + [found])
+    others = [one for one in there if one.get("policy_sha256") == policy and one not in same]
+    write_json(folder / KEPT, [*others, found])
     return found
 
 
