@@ -7,12 +7,13 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
 from flows.studies.measured import write_json
-from pipeline.errors import PolicyError
+from pipeline.errors import ConfigError, PolicyError
 from pipeline.locomotion.bodies import load_legged
 from pipeline.locomotion.played import played
 from pipeline.locomotion.robots import LeggedRobots
@@ -58,16 +59,24 @@ def run_odometry_study(policy: Path, *, twins: Sequence[int], episodes: int, tas
     recipe = Recipe(name="odometry", robot=driver.body, scene="ground", task=task, threads=threads,
                     deploy=DeployConfig(episodes=episodes))
     apart: list[Mapping[str, float]] = []
+    noticed = np.zeros(3, np.int64)
     falls = {kind: [0, 0] for kind in ("as sensed", "as it truly stood", "drawn as ever")}
     for twin in track(twins, description="twins", transient=True):
-        attempts = _deployed(driver, recipe, twin)
-        cases = harvest_legged(attempts, before_s=BEFORE_S, generation=0)
+        attempts, truth = _deployed(driver, recipe, twin)
+        said = np.array([e.outcome.label == "failure" for e, _ in attempts])
+        noticed += [int((said & ~truth).sum()), int((said & truth).sum()), int((~said & ~truth).sum())]
+        if not (cases := harvest_legged(attempts, before_s=BEFORE_S, generation=0)):
+            continue
         true = _truth(cases, attempts, twin)
         apart += [_apart(case.start, start) for case, start in zip(cases, true, strict=True) if case.start]
         for kind, scenes in _scenes(recipe, cases, true, twin).items():
             falls[kind][0] += int((~_stood(driver, scenes, threads)).sum())
             falls[kind][1] += len(scenes)
+    if not apart:
+        raise ConfigError(f"it did not fall in any of {episodes * len(twins)} attempts", where=policy,
+                          mend="more attempts, other twins, or a policy that is not so good: --episodes 300")
     found = {"cases": len(apart), "twins": list(twins), "episodes": episodes, "task": task, "robot": driver.body,
+             "noticed": dict(zip(("rightly", "wrongly", "missed"), noticed.tolist(), strict=True)),
              "errors": {name: np.quantile([a[name] for a in apart], (0.5, 0.9)).tolist() for name in ERRORS},
              "rms": {name: float(np.sqrt(np.mean([a[name] ** 2 for a in apart]))) for name in ERRORS},
              "falls": {kind: wilson(*counts).model_dump() for kind, counts in falls.items()}}
@@ -76,11 +85,12 @@ def run_odometry_study(policy: Path, *, twins: Sequence[int], episodes: int, tas
     return found
 
 
-def _deployed(driver: LeggedPolicy, recipe: Recipe, twin: int) -> list[Attempt]:
+def _deployed(driver: LeggedPolicy, recipe: Recipe, twin: int) -> tuple[list[Attempt], NDArray[np.bool_]]:
+    """Attempts, and which of them truly stayed on their feet."""
     with TemporaryDirectory() as folder:
         done = deploy_legged(driver, "0" * 16, recipe, seed=0, twin=twin, generation=0, folder=Path(folder),
                              software={})
-        return [read_episode(r.path) for r in done.recorded]
+        return [read_episode(r.path) for r in done.recorded], done.truth
 
 
 def _truth(cases: Sequence[HardCase], attempts: Sequence[Attempt], twin: int) -> list[LeggedStart]:
@@ -124,7 +134,7 @@ def _scenes(recipe: Recipe, cases: Sequence[HardCase], true: Sequence[LeggedStar
         "drawn as ever": legged_scenes(recipe.task, recipe.robot, "study", drawn)}
 
 
-def _stood(driver: LeggedPolicy, scenes: Sequence[SceneSpec], threads: int) -> np.ndarray[Any, np.dtype[np.bool_]]:
+def _stood(driver: LeggedPolicy, scenes: Sequence[SceneSpec], threads: int) -> NDArray[np.bool_]:
     """Which attempts of the nominal robot did not fall."""
     robots = LeggedRobots(load_legged(scenes[0].robot), load_legged_task(scenes[0].task), scenes, threads=threads)
     return played(driver, robots).success
@@ -139,6 +149,7 @@ def _show(found: Mapping[str, Any]) -> None:
         falls.add_row(kind, f"{share['rate']:.3f} [{share['low']:.3f} {share['high']:.3f}]", str(share["n"]))
     console = Console(width=120)
     console.print(f"{found['robot']} {found['task']}: {found['cases']} falls on twins {found['twins']}, starts "
-                  f"{BEFORE_S:g} s before")
+                  f"{BEFORE_S:g} s before; falls noticed "
+                  + ", ".join(f"{how} {n}" for how, n in found["noticed"].items()))
     console.print(errors)
     console.print(falls)
