@@ -7,7 +7,6 @@ import typer
 
 from flows.commands.browse import browse
 from flows.commands.consent import consent
-from flows.commands.datasets import datasets
 from flows.commands.ingest import ingest
 from flows.commands.lineage import forget, why
 from flows.commands.measure import measure
@@ -18,6 +17,7 @@ from flows.commands.rl import rl
 from flows.commands.selftest import selftest
 from flows.commands.shadow import judge
 from flows.commands.teleop import teleop
+from flows.commands.versions import datasets
 from flows.commands.worth import worth
 
 commands = typer.Typer()

@@ -3,22 +3,25 @@
 import json
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from pipeline.check.contract import load_contract
 from pipeline.check.initial import to_yaml
+from pipeline.check.table import CHECKS
 from pipeline.errors import ConfigError, StoreError
 from pipeline.files import atomic
 from pipeline.store import Store, store_root
 from schemas.contract import Contract
-from schemas.episode import VARIANTS
+from schemas.episode import VARIANTS, Episode
 from schemas.finding import CheckVerdict, Finding
 from stages.check import Checked, Item, check, init
 
 PASSED, FAILED, UNREADABLE = 0, 1, 2
 ID = re.compile(r"[0-9a-f]{8,16}")
+ELSEWHERE = {"consent", "duplicates"}
+"""Checks that no build makes: consent has a door of its own, and of two copies neither is the wrong one."""
 SHOWN = 5
 """Findings of one check that are printed of one item."""
 
@@ -44,6 +47,22 @@ def check_all(names: Sequence[str], *, contract: Path | None, out: Path | None) 
         with atomic(out) as stream:
             stream.write((json.dumps(_as_json(done), indent=1, ensure_ascii=False) + "\n").encode())
     return "\n".join(_told(done)), _code(done)
+
+
+def look_at_new(store: Store, episodes: Iterable[Episode], known: Collection[str]) -> None:
+    """Check recordings of our own that nobody has checked, and note the verdicts: what fails does not teach.
+
+    Args:
+        store: holds the recordings.
+        episodes: what is about to teach; variants and what came from foreign logs are passed over.
+        known: sha256 of recordings that have a verdict; a person's own, with a contract, is not overruled.
+    """
+    new = {e.blob: e for e in episodes if e.blob and e.blob not in known and e.origin not in VARIANTS
+           and store.log_of(e) is None}
+    items = [Item(store.blob(blob), e.id, trusted=True) for blob, e in new.items()]
+    for done in check(items, Contract(), names=CHECKS.keys() - ELSEWHERE):
+        if done.verdict is not None:
+            store.add_check(done.verdict)
 
 
 def write_contract(names: Sequence[str]) -> str:

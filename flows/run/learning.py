@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 
+from flows.data.checking import look_at_new
 from flows.run import facts, nights, regression
 from flows.run.arm_run import ArmRun, Made, no_rows
 from flows.run.footage import filming, shown
@@ -98,6 +99,8 @@ def built(run: ArmRun, generation: int) -> Made:
         known = {e.id for e in everything}
         everything += [e for e in run.material.driven(run.recipe) if e.id not in known]
     standing = consents.standing(everything)
+    teaching = [e for e in standing if e.outcome.label == "success" or not run.recipe.dataset.only_success]
+    look_at_new(run.store, teaching, run.material.verdicts(teaching).by_subject.keys())
     verdicts = run.material.verdicts(standing)
     passing = verdicts.passing(standing)
     sound, hurting = spared(run, passing)

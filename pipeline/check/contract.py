@@ -20,11 +20,17 @@ LEGGED_ACTION = "/command/joints"
 """Topic that legged robots alone have. Legs bear a load: their joints need not go where their servos are told, and
 targets may lie beyond a stop, for that is how a servo of limited stiffness is asked for force."""
 STEPS = {"ee_x": "dx", "ee_y": "dy", "ee_z": "dz", "ee_yaw": "dyaw"}
+SUMS = {"cmd_x": "dx", "cmd_y": "dy", "cmd_z": "dz", "cmd_yaw": "dyaw"}
+"""What our commanded pose is the sum of; each step counts from the next row on."""
+NEXT_ROW_S = (0.0, 0.1)
+""""From the next row on", at 20 Hz and with room for a live clock [s]."""
 PAIRS = (
     Pair(measured="/joint_states.position", commanded="/joint_commands.position"),
     Pair(measured="/ee/measured.data", commanded="/command/ee.data", kind="step", columns=STEPS),
+    Pair(measured="/ee/commanded.data", commanded="/command/ee.data", kind="step", columns=SUMS, lag_s=NEXT_ROW_S),
     Pair(measured="observation.state", commanded="action.joint"),
     Pair(measured="observation.state", commanded="action", kind="step", columns=STEPS),
+    Pair(measured="observation.state", commanded="action", kind="step", columns=SUMS, lag_s=NEXT_ROW_S),
     Pair(measured="observation.state", commanded="action"),
 )
 """What follows what, in our recordings and versions and in any dataset whose state and action share names."""
@@ -67,8 +73,8 @@ def _pairs(signals: Signals) -> tuple[Pair, ...]:
     """Those of PAIRS that this recording has; a dataset's joint targets, if it has them, instead of its action."""
     if LEGGED_ACTION in signals.topics:
         return ()
-    there = [p for p in PAIRS if signals.find(p.measured) and (found := signals.find(p.commanded))
-             and (not p.columns or set(p.columns.values()) <= set(found[2].names))]
+    there = [p for p in PAIRS if (own := signals.find(p.measured)) and (found := signals.find(p.commanded))
+             and {*p.columns} <= {*own[2].names} and {*p.columns.values()} <= {*found[2].names}]
     return tuple(p for p in there if p.columns or p.commanded != "action" or len(there) == 1)
 
 

@@ -1,4 +1,4 @@
-"""Joints against their commands: standing still, running behind, jumping out and back."""
+"""Joints against their commands: standing still, running behind, going elsewhere, jumping out and back."""
 
 import math
 from collections.abc import Iterator
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.check.following import best_lag, numbers, resample
+from pipeline.check.following import Fit, best_lag, numbers, resample
 from pipeline.check.signals import Column, Rows, Signals, Topic
 from schemas.contract import Contract, Pair, Thresholds
 from schemas.finding import Finding
@@ -129,16 +129,8 @@ def _standstill(measured: Rows, commanded: Rows, moved: float, late: int) -> tup
 
 def lag(signals: Signals, contract: Contract) -> Iterator[Finding]:
     """How far the measured motion runs behind what was commanded, or, where they were shifted, ahead of it."""
-    limits = contract.thresholds
-    for both in followed(signals, contract):
-        low, high = both.pair.lag_s or (limits.lag_low_s, limits.lag_high_s)
-        leader = np.diff(both.commanded, axis=0) if both.pair.kind == "target" else both.commanded[1:]
-        moving = _moving(leader, both, contract)
-        if not moving.any():
-            continue
-        fit = best_lag(leader[:, moving], np.diff(both.measured, axis=0)[:, moving], both.period_s,
-                       allowed_s=(low, high), reach_s=max(1.0, high + 0.5))
-        if fit is None or fit.correlation < limits.lag_correlation:
+    for both, fit, (low, high) in _fits(signals, contract):
+        if fit.correlation < contract.thresholds.lag_correlation:
             continue
         half = both.period_s / 2
         if not low - half <= fit.lag_s <= high + half:
@@ -149,6 +141,34 @@ def lag(signals: Signals, contract: Contract) -> Iterator[Finding]:
                           value=fit.lag_s, limit=high if fit.lag_s > 0 else low,
                           mend="pair each action with the state that it was sent for; set motion.*.lag_s in the "
                           "contract for a slow robot")
+
+
+def answer(signals: Signals, contract: Contract) -> Iterator[Finding]:
+    """Whether the motion is the one that was commanded; actions that are turned around or shuffled get none."""
+    limits = contract.thresholds
+    for both, fit, _ in _fits(signals, contract):
+        late = fit.correlation >= limits.lag_correlation  # then it does answer, and `lag` tells when
+        if fit.within < limits.answer_correlation and not late:
+            yield Finding(check="answer", what=f"{both.pair.measured} does not move as {both.pair.commanded} says: "
+                          f"correlation {fit.within:.2f} at best", where=both.pair.commanded, value=fit.within,
+                          limit=limits.answer_correlation,
+                          mend="look at the order, the signs and the source of the actions; drop the episode, or set "
+                          "thresholds.answer_correlation in the contract for a robot that is moved by others")
+
+
+def _fits(signals: Signals, contract: Contract) -> Iterator[tuple[Followed, Fit, tuple[float, float]]]:
+    """Every pair that moves enough to tell, how its measurement follows, and the lags that it may have [s]."""
+    limits = contract.thresholds
+    for both in followed(signals, contract):
+        low, high = both.pair.lag_s or (limits.lag_low_s, limits.lag_high_s)
+        leader = np.diff(both.commanded, axis=0) if both.pair.kind == "target" else both.commanded[1:]
+        moving = _moving(leader, both, contract)
+        if not moving.any():
+            continue
+        fit = best_lag(leader[:, moving], np.diff(both.measured, axis=0)[:, moving], both.period_s,
+                       allowed_s=(low, high), reach_s=max(1.0, high + 0.5))
+        if fit is not None:
+            yield both, fit, (low, high)
 
 
 def _moving(leader: Rows, both: Followed, contract: Contract) -> NDArray[np.bool_]:

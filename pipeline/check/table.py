@@ -137,6 +137,7 @@ CHECKS: MappingProxyType[str, Entry] = MappingProxyType({
     "units": Entry(_each(values.units), _units, "degrees for radians, millimetres for metres"),
     "frozen": Entry(_each(motion.frozen), _motion, "a joint stands still to the bit while its command moves"),
     "lag": Entry(_each(motion.lag), _motion, "the motion runs too far behind its command, or ahead of it"),
+    "answer": Entry(_each(motion.answer), _motion, "the motion is not the one that was commanded"),
     "spikes": Entry(_each(motion.spikes), _motion, "a reading jumps out and back within one sample"),
     "black-camera": Entry(_each(cameras.black_camera), _cameras, "pictures show nothing, or do not decode"),
     "frozen-camera": Entry(_each(cameras.frozen_camera), _moving_cameras, "the same picture while the robot moves"),

@@ -10,6 +10,8 @@ STATE, ENVIRONMENT, ACTION, TARGET = ("observation.state", "observation.environm
 NUMBERS = (STATE, ENVIRONMENT, ACTION, TARGET)
 LAG = 8
 """Frames; 0.4 s at 20 Hz."""
+MOTION = 4
+"""Values of an action that move the tool; the fifth is the finger opening asked for [m]."""
 ARM = 6
 """Joints that turn come first in every row of joints."""
 COMMANDED = slice(11, 14)
@@ -30,6 +32,22 @@ def late_actions(data: Dataset, rng: Rng) -> None:
         for part in data.parts():
             rows[part] = np.concatenate([np.repeat(rows[part][:1], LAG, axis=0), rows[part][:-LAG]])
         data.rows[name] = rows
+    data.measure()
+
+
+def turned_actions(data: Dataset, rng: Rng) -> None:
+    """Every motion of one episode the other way round."""
+    part, rows = data.parts()[0], data.rows[ACTION].copy()
+    rows[part, :MOTION] *= -1
+    data.rows[ACTION] = rows
+    data.measure()
+
+
+def shuffled_actions(data: Dataset, rng: Rng) -> None:
+    """The actions of one episode in random order."""
+    part, rows = data.parts()[0], data.rows[ACTION].copy()
+    rows[part] = rng.permutation(rows[part])
+    data.rows[ACTION] = rows
     data.measure()
 
 

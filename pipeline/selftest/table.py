@@ -84,6 +84,8 @@ FAULTS: MappingProxyType[str, Fault] = MappingProxyType({
                         "frozen"),
     "action-lag": _in("succeeded", values.late_actions, "actions are recorded 8 frames late", "lag"),
     "state-lag": _in("demonstrated", values.late_states, "measurements are 8 frames old", "lag"),
+    "turned-actions": _in("demonstrated", values.turned_actions, "motions recorded the other way round", "answer"),
+    "shuffled-actions": _in("succeeded", values.shuffled_actions, "actions recorded in random order", "answer"),
     "nan-state": _in("demonstrated", values.nan_at(values.MEASURED), "one reading is NaN", "finite"),
     "nan-action": _in("corrected", values.nan_at(values.ACTION), "one action is NaN", "finite"),
     "degrees-state": _in("succeeded", values.degrees_in(values.MEASURED), "joints measured in degrees", "units"),
@@ -146,6 +148,8 @@ FAULTS: MappingProxyType[str, Fault] = MappingProxyType({
     # datasets
     "dataset-nan": _rows(rows.nan, "one value of one row is NaN", "finite"),
     "dataset-action-lag": _rows(rows.late_actions, "every row holds the action of 8 rows before", "lag"),
+    "dataset-turned-actions": _rows(rows.turned_actions, "motions of one episode the other way round", "answer"),
+    "dataset-shuffled-actions": _rows(rows.shuffled_actions, "actions of one episode in random order", "answer"),
     "dataset-degrees": _rows(rows.degrees, "joints in degrees", "units"),
     "dataset-absolute-actions": _rows(rows.absolute_actions, "actions are positions, not steps", "evaluation"),
     "dataset-duplicate": _rows(rows.duplicate, "a training episode is there twice", "duplicates"),

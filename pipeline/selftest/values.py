@@ -18,6 +18,8 @@ ACTION: Part = ("/command/ee", "data")
 TOOL: Part = ("/ee/measured", "data")
 LAG = 8
 """Frames; 0.4 s at 20 Hz, about what a person reacts in."""
+MOTION = 4
+"""Values of an action that move the tool; the fifth is the finger opening asked for [m]."""
 ARM = 6
 """Joints that turn; the seventh value is the finger opening [m]."""
 
@@ -42,6 +44,19 @@ def late_actions(log: Log, rng: Rng) -> None:
     """Every action is recorded 8 frames after the state that it answered, as by a queue between policy and recorder."""
     for part in (COMMANDED, ACTION):
         log.put(*part, _delayed(log.numbers(*part)))
+
+
+def turned_actions(log: Log, rng: Rng) -> None:
+    """Every motion is recorded the other way round, as with a device that was plugged in upside down."""
+    rows = log.numbers(*ACTION)
+    rows[:, :MOTION] *= -1
+    log.put(*ACTION, rows)
+
+
+def shuffled_actions(log: Log, rng: Rng) -> None:
+    """The actions of the attempt are recorded in random order, as by a merge by the wrong key."""
+    rows = log.numbers(*ACTION)
+    log.put(*ACTION, rows[rng.permutation(len(rows))])
 
 
 def late_states(log: Log, rng: Rng) -> None:

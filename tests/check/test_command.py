@@ -36,14 +36,14 @@ def late_action(t):
 def test_a_good_recording_passes_with_exit_code_0(hardcase, demos):
     done = hardcase("check", demos[0])
     assert done.exit_code == 0
-    assert done.output.startswith(f"{demos[0].name}: passed, 19 checks (9 had nothing to look at)")
+    assert done.output.startswith(f"{demos[0].name}: passed, 20 checks (9 had nothing to look at)")
 
 
 def test_a_bad_one_fails_with_exit_code_1_one_line_a_finding_and_the_mend(hardcase, demos, spoil_trace):
     done = hardcase("check", demos[1], spoil_trace(late_action))
     assert done.exit_code == 1
     lines = done.output.splitlines()
-    assert lines[1].endswith(": FAILED, 20 checks (8 had nothing to look at)")
+    assert lines[1].endswith(": FAILED, 21 checks (8 had nothing to look at)")
     assert lines[2].split()[:3] == ["error", "lag", "/joint_commands.position"]
     assert "/joint_states.position runs ahead of /joint_commands.position by 0.39" in lines[2]
     assert "1 of 2 passed" in lines
