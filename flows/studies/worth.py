@@ -117,8 +117,8 @@ def _dose(steps: Steps, dose: Dose, processes: int) -> Said:
                       "worth": verdict.model_dump(mode="json")}
     hurts = [name for name in parts if said[name]["told"].startswith("HURTS")]
     caught = "check" if bad.check != "passes" else "worth" if hurts else ""
-    said["gate"] = "" if caught else gated(steps, bad)
-    said["stopped by"] = caught or ("gate" if said["gate"] not in ("PASS", "") else "nothing")
+    said["gate"] = gated(steps, bad)  # asked of all, since where no worth is asked it is the last door
+    said["stopped by"] = caught or ("gate" if said["gate"] != "PASS" else "nothing")
     return said
 
 
