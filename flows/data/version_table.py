@@ -57,7 +57,7 @@ def _told(store: Store, version: DatasetVersion, files: Mapping[int, int],
         "erased": len(version.erased), "weights": version.weights}
     if (folder / CURRICULUM).is_file():
         kinds = Counter("held out for the gate" if e in version.held_out else "that teach" for e in version.episodes)
-        starts = {f"starts of falls {kind}": n for kind, n in kinds.items()} or {"kinds of start, drawn": 1}
+        starts = {f"starts of falls {kind}": n for kind, n in kinds.items()} or {"curriculum of drawn starts": 1}
         return {**told, "sources": starts, "success": None, "cameras": [], "missing": False}
     if not (folder / EPISODES).is_file():
         return {**told, "sources": {}, "success": None, "cameras": [], "missing": True}

@@ -139,7 +139,7 @@ def test_the_result_and_the_page_tell_of_falls(loop):
 
 def test_versions_of_starts_are_listed_and_forgotten_like_others(loop, turned, tmp_path):
     rows = versions(turned)
-    assert "kinds of start, drawn" in rows[0]["sources"]
+    assert "curriculum of drawn starts" in rows[0]["sources"]
     assert sum(n for kind, n in rows[1]["sources"].items() if kind.startswith("starts of falls")) == rows[1]["episodes"]
     version = loop.material.version(1)
     lesson = lesson_of(loop, 1)
