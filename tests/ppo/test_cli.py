@@ -39,7 +39,7 @@ def test_a_training_is_evaluated_beside_both_baselines(hardcase, store):
 @pytest.mark.parametrize(("words", "mend"), [
     (("train", "--body", "bipet"), "use one of: PATH.urdf, PATH.xml, biped, unitree_g1, unitree_h1"),
     (("train", "--body", "robot.xml"), "give an MJCF or URDF file"),
-    (("train", "--task", "run"), "use one of: PATH.yaml, stand, walk"),
+    (("train", "--task", "run"), "use one of: PATH.yaml, balance, stand, walk"),
     (("train", "--task", "run.yaml"), "name a task"),
     (("train", "--stratum", "flying"), "use one of: leaning"),
     (("train", "--learning-rate", -1), "pipeline/ppo/config.py"),
