@@ -22,7 +22,7 @@ from schemas.scene import Draw
 RANGES: MappingProxyType[str, tuple[str, float, float, float]] = MappingProxyType({
     "payload": ("1", 0.0, 0.0, 0.1), "payload_x": ("m", 0.0, -0.04, 0.04), "payload_z": ("m", 0.0, 0.0, 0.25),
     "strength": ("1", 1.0, 0.85, 1.05), "stiffness": ("1", 1.0, 0.9, 1.05), "damping": ("1", 1.0, 0.8, 1.4),
-    "ground": ("1", 0.9, 0.5, 1.0), "delay_s": ("s", 0.0, 0.0, 0.005), "noise": ("1", 0.0, 0.0, 1.0),
+    "ground": ("1", 1.0, 0.5, 1.0), "delay_s": ("s", 0.0, 0.0, 0.005), "noise": ("1", 0.0, 0.0, 1.0),
     "skew": ("1", 0.0, 0.0, 1.0)})
 """What differs -> unit, nominal value, and the range that training draws from evenly.
 
