@@ -185,7 +185,9 @@ def stand(
     body: Annotated[str, typer.Option(help="biped, unitree_h1, unitree_g1, or a path.")] = "biped",
     json: Json = None,
 ) -> None:
-    """How often a trained robot stands through bad starts and pushes, beside zero and random actions. 4 minutes a seed.
+    """How often a trained robot stands through bad starts and pushes, beside zero and random actions.
+
+    4 minutes a seed for the biped, a quarter of an hour for unitree_h1, on a core of its own.
 
     Example: hardcase measure stand --seeds 3 --json stand.json
     """
