@@ -110,7 +110,8 @@ class Log:
         """Change a field of float64 in every message of a topic; everything else of the message stays as it is."""
         for message, before, after in zip(self.of(topic), self.numbers(topic, part), rows, strict=True):
             packed = before.astype("<f8").tobytes()
-            at = message.data.index(packed)
+            last = len(message.data) - len(packed)  # looked at first: zeros are found wherever a message has some
+            at = last if message.data.endswith(packed) else message.data.index(packed)
             message.data = message.data[:at] + after.astype("<f8").tobytes() + message.data[at + len(packed):]
 
     def names(self, topic: str) -> list[str]:
