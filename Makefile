@@ -39,7 +39,7 @@ clean: ## remove environment and caches; the store stays
 # and with the empty Prefect database that the first start would otherwise migrate.
 .venv/.run: uv.lock pyproject.toml .python-version | $(UV)
 	@$(UV) sync --frozen --no-dev --inexact
-	$(PYTHON) -m flows.embedded_server prepare
+	$(PYTHON) -m flows.service.embedded_server prepare
 	touch $@
 
 .venv/.test: .venv/.run
