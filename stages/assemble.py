@@ -61,7 +61,8 @@ def assemble(cases: Sequence[HardCase], episodes: Mapping[str, Episode], recipe:
     lesson = Lesson(
         body=recipe.robot, name=recipe.task, task=task,
         curriculum=Curriculum(kinds=kinds, hard_share=share, spread=recipe.rl.spread if starts else 0.0, starts=starts),
-        vary=recipe.rl.vary, held_out=tuple(_hard(c, 1.0) for c in held), needs={e: n for e, n in needs(used).items() if n})
+        vary=recipe.rl.vary, held_out=tuple(_hard(c, 1.0) for c in held),
+        needs={e: n for e, n in needs(used).items() if n})
     code = code_hash()
     version = short_id("curriculum", lesson.model_dump_json(), generation, parent.id if parent else "", code)
     target, hard = store / FOLDER / version, (*taught, *held)

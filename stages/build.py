@@ -31,8 +31,8 @@ __all__ = ["build", "code_hash", "load_version"]
 ORIGINS: tuple[str, ...] = get_args(Origin.__value__)
 
 READING = tuple(f"pipeline/recording/{name}.py" for name in (
-    "cdr", "decode", "dialect", "errors", "fields", "legged", "live_header", "metadata", "read", "records", "scan", "series",
-    "strings", "summary", "unpacking"))
+    "cdr", "decode", "dialect", "errors", "fields", "legged", "live_header", "metadata", "read", "records", "scan",
+    "series", "strings", "summary", "unpacking"))
 """What reads frames from a recording. Whatever else lies beside it, the recorder of live robots for one, turns
 no recording into other bytes of a version, and must not change the ids of versions."""
 

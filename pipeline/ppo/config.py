@@ -56,8 +56,8 @@ class Order(Frozen):
     name: str = Field(description="of the task")
     task: LeggedTask
     stratum: str | None = Field(default=None, description="kind of start; the task's first where None")
-    curriculum: Curriculum | None = Field(default=None, exclude_if=_nothing, description="kinds of start and hard starts, "
-                                          "in place of one kind")
+    curriculum: Curriculum | None = Field(default=None, exclude_if=_nothing, description="kinds of start and hard "
+                                          "starts, in place of one kind")
     vary: float = Field(default=0.0, ge=0, exclude_if=_nothing, description="how much robots differ, see "
                         "pipeline.locomotion.varied; 0: every one is the nominal one")
     goes_on: Sha256 | None = Field(default=None, exclude_if=_nothing, description="hash of the file of weights that it "

@@ -33,7 +33,8 @@ def lap(order, hard, straight, tmp_path_factory) -> tuple[Order, object]:
     """A lap that goes on from a finished training with hard starts, and the file of weights."""
     path = tmp_path_factory.mktemp("weights") / "weights.safetensors"
     curriculum = Curriculum(kinds={"leaning": 2.0, "thrown": 1.0}, hard_share=0.5, spread=1.0, starts=hard)
-    return order.model_copy(update={"curriculum": curriculum, "vary": 1.0, "goes_on": straight.leave_weights(path)}), path
+    update = {"curriculum": curriculum, "vary": 1.0, "goes_on": straight.leave_weights(path)}
+    return order.model_copy(update=update), path
 
 
 def test_starts_are_met_as_often_as_the_shares_say(order, body, hard):
