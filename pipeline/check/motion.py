@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -149,11 +150,16 @@ def answer(signals: Signals, contract: Contract) -> Iterator[Finding]:
     for both, fit, _ in _fits(signals, contract):
         late = fit.correlation >= limits.lag_correlation  # then it does answer, and `lag` tells when
         if fit.within < limits.answer_correlation and not late:
-            yield Finding(check="answer", what=f"{both.pair.measured} does not move as {both.pair.commanded} says: "
-                          f"correlation {fit.within:.2f} at best", where=both.pair.commanded, value=fit.within,
-                          limit=limits.answer_correlation,
+            yield Finding(check="answer", severity=_sure(both.pair), what=f"{both.pair.measured} does not move as "
+                          f"{both.pair.commanded} says: correlation {fit.within:.2f} at best",
+                          where=both.pair.commanded, value=fit.within, limit=limits.answer_correlation,
                           mend="look at the order, the signs and the source of the actions; drop the episode, or set "
                           "thresholds.answer_correlation in the contract for a robot that is moved by others")
+
+
+def _sure(pair: Pair) -> Literal["error", "warning"]:
+    """A warning where it is a guess that the motion follows: actions of others may be speeds, torques, or relative."""
+    return "warning" if pair.commanded == "action" and not pair.columns else "error"
 
 
 def _fits(signals: Signals, contract: Contract) -> Iterator[tuple[Followed, Fit, tuple[float, float]]]:

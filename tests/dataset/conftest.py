@@ -117,7 +117,16 @@ def smooth() -> Callable[[Episode], Frames]:
             at, height, speed, phase = waves.setdefault(name, tuple(rng.uniform([-1, 0.2, 1, 0], [1, 0.4, 3, 6])))
             return at + height * np.sin((t - late_s) * speed + phase)
 
-        late = {"observation.state": 0.1}
-        return Frames(*(np.stack([column(n, late.get(f, 0.0)) for n in names], axis=1).astype(np.float32)
+        def value(feature: str, name: str) -> np.ndarray:
+            kind, _, axis = name.partition("_")
+            if kind == "cmd" and axis != "gripper":
+                return column(axis, 0.0)
+            if kind == "ee":
+                return column(axis, 0.1)
+            if name in ("dx", "dy", "dz", "dyaw"):  # from the next row on
+                return column(name[1:], -0.05) - column(name[1:], 0.0)
+            return column(name, 0.1 if feature == "observation.state" else 0.0)
+
+        return Frames(*(np.stack([value(f, n) for n in names], axis=1).astype(np.float32)
                         for f, names in FEATURES.items()))
     return frames

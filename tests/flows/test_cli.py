@@ -42,7 +42,7 @@ def test_the_command_line_loads_nothing_heavy_by_itself(heavy):
 @pytest.mark.parametrize(
     ("arguments", "what", "mend"),
     [
-        (("loop", "--recipe", "smke"), "unknown recipe 'smke'", "use one of: act, act-smoke, default"),
+        (("loop", "--recipe", "smke"), "unknown recipe 'smke'", "use one of: act, act-smoke, biped, biped-smoke"),
         (("loop", "--generations", "1", "--recipe", "no/file.yaml"), "no such recipe file", "default, nightly, smoke"),
         (("why", "0123456789abcdef"), "there is no store here", "hardcase loop"),
         (("train",), "there is no store here", "hardcase loop"),
