@@ -45,8 +45,8 @@ RECORDINGS_OF: Mapping[str, tuple[str, ...]] = MappingProxyType({
     "deploy_legged": (
         "stages/deploy_legged.py", "pipeline/disagreement.py", "pipeline/documents.py",
         *(f"pipeline/locomotion/{name}.py" for name in (
-            "biped", "bodies", "body", "falls", "menagerie", "odometry", "played", "rewards", "robots", "scenes",
-            "sensed", "spaces", "starts", "tasks", "torque", "tracing", "world")),
+            "biped", "bodies", "body", "delay", "falls", "menagerie", "odometry", "played", "rewards", "robots",
+            "scenes", "sensed", "spaces", "starts", "tasks", "torque", "tracing", "world")),
         "pipeline/ppo/policy.py", "pipeline/ppo/runner.py", "pipeline/shadow/candidate.py", "pipeline/shadow/limits.py",
         "pipeline/shadow/ridden.py", "pipeline/shadow/riders.py", "pipeline/shadow/sizes.py",
         "pipeline/shadow/targets.py", "pipeline/shadow/wire.py", "pipeline/twin/legged.py",

@@ -60,11 +60,11 @@ def finetuned(orders: Mapping[int, Order], folders: Mapping[int, Path], root: Pa
 def falls_of(policy: Path, body: Any, order: Order, seed: int) -> tuple[list[HardStart], list[Any]]:
     """States before this policy's falls: those to learn from, and as many that stay unseen; every other one."""
     from pipeline.locomotion.before_falls import play_from
-    from pipeline.locomotion.starts import as_data, draw_start
+    from pipeline.locomotion.starts import as_data, draw_start, seed_of
     from pipeline.ppo.runner import OnnxRunner
 
     stratum = order.stratum or next(iter(order.task.starts))
-    starts = [draw_start(order.task, body, stratum, _seed(seed, i, SEEK)) for i in range(SOUGHT)]
+    starts = [draw_start(order.task, body, stratum, seed_of(seed, i, SEEK)) for i in range(SOUGHT)]
     before = play_from(OnnxRunner(policy), body, order.task, starts, ticks=TICKS).before
     found = [(i, as_data(start)) for i, start in sorted(before.items())]
     learned = [HardStart(case=short_id(order.id, str(i)), episode=short_id("sought", order.id, str(i)), family="fell",
@@ -76,17 +76,13 @@ def _judged(policy: Path, body: Any, order: Order, fresh: list[Any], seed: int) 
     """Which attempts were full, by what they began at; blows at hard starts are drawn anew, the same for all arms."""
     from pipeline.locomotion.before_falls import play_from
     from pipeline.locomotion.evaluation import evaluate
-    from pipeline.locomotion.starts import from_data, pushed
+    from pipeline.locomotion.starts import from_data, pushed, seed_of
     from pipeline.ppo.runner import OnnxRunner
 
     runner = OnnxRunner(policy)
-    again = [pushed(from_data(start), order.task, _seed(seed, i, PUSH)) for i, start in enumerate(fresh)]
+    again = [pushed(from_data(start), order.task, seed_of(seed, i, PUSH)) for i, start in enumerate(fresh)]
     return {**{kind: evaluate(runner, body, order.task, n=ATTEMPTS, seed=seed, stratum=kind).full
                for kind in SETS[:2]}, "hard": play_from(runner, body, order.task, again).full}
-
-
-def _seed(seed: int, i: int, word: int) -> int:
-    return int(np.random.SeedSequence([seed, i, word]).generate_state(1, np.uint64)[0] >> 1)
 
 
 def _told(arms: Mapping[str, list[Any]]) -> dict[str, Any]:

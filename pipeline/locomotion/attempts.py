@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from pipeline.locomotion import varied
 from pipeline.locomotion.body import LeggedBody
-from pipeline.locomotion.starts import Start, draw_start
+from pipeline.locomotion.starts import Start, draw_start, seed_of
 from pipeline.locomotion.tasks import LeggedTask
 from pipeline.locomotion.world import LeggedWorld
 from pipeline.protocols import Array, Ids
@@ -107,4 +107,4 @@ def _world(body: LeggedBody, task: LeggedTask, n: int, seed: int, vary: float, t
 
 def start_seed(seed: int, place: int, k: int) -> int:
     """Seed of the k-th start in a place: no two of one run share it."""
-    return int(np.random.SeedSequence([seed, place, k, 67]).generate_state(1, np.uint64)[0] >> 1)
+    return seed_of(seed, place, k, 67)

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.locomotion.body import LeggedBody
-from pipeline.locomotion.evaluation import Act
 from pipeline.locomotion.starts import Start
 from pipeline.locomotion.tasks import LeggedTask
+from pipeline.locomotion.trying import Act, trying
 from pipeline.locomotion.world import LeggedWorld
 
 BEFORE_S = 0.6
@@ -46,15 +46,10 @@ def play_from(act: Act, body: LeggedBody, task: LeggedTask, starts: Sequence[Sta
     everyone = np.arange(n)
     world.restart(everyone, starts)
     alive, length = np.ones(n, bool), np.zeros(n, np.int64)
-    past: deque[list[Start]] = deque(maxlen=back + 1)
-    before: dict[int, Start] = {}
-    for _ in range(ticks or task.ticks):
-        past.append(world.as_starts(everyone))
-        world.act(act(world.observe()))
-        fell = alive & world.fallen(world.motion())
-        before |= {int(i): past[0][i] for i in np.flatnonzero(fell)}
-        alive &= ~fell
+    past, before = deque([world.as_starts(everyone)], maxlen=back + 1), dict[int, Start]()
+    for tried in trying(act, world, ticks or task.ticks):
+        before |= {int(i): past[0][i] for i in np.flatnonzero(alive & ~tried.stands)}
+        alive = tried.stands
         length += alive
-        if not alive.any():
-            break
+        past.append(world.as_starts(everyone))
     return Played(alive, length, before)

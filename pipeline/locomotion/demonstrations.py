@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from pipeline.errors import PolicyError
 from pipeline.locomotion.body import LeggedBody
-from pipeline.locomotion.evaluation import Act
-from pipeline.locomotion.starts import draw_start
+from pipeline.locomotion.starts import draw_start, seed_of
 from pipeline.locomotion.tasks import LeggedTask
+from pipeline.locomotion.trying import Act, trying
 from pipeline.locomotion.world import LeggedWorld
 from pipeline.protocols import Array
 
@@ -80,7 +80,7 @@ def demonstrate(act: Act, body: LeggedBody, task: LeggedTask, *, keep: int, most
 
 def start_seed(seed: int, k: int) -> int:
     """Seed of the k-th start of demonstrations."""
-    return int(np.random.SeedSequence([seed, k, DEMONSTRATION]).generate_state(1, np.uint64)[0] >> 1)
+    return seed_of(seed, k, DEMONSTRATION)
 
 
 def discounted(reward: Array, gamma: float) -> Array:
@@ -99,15 +99,8 @@ def _play(act: Act, world: LeggedWorld) -> tuple[NDArray[np.float32], Array, Arr
     n, ticks = world.n, world.task.ticks
     sensed = np.zeros((ticks, n, world.width), np.float32)
     action, reward = np.zeros((ticks, n, world.action_size)), np.zeros((ticks, n))
-    stands, alive = np.zeros((ticks, n), bool), np.ones(n, bool)
-    for tick in range(ticks):
-        sensed[tick] = world.observe()
-        action[tick] = act(sensed[tick])
-        world.act(action[tick])
-        now = world.motion()
-        reward[tick] = np.sum(list(world.rewards(now).values()), axis=0)
-        alive &= ~world.fallen(now)
-        stands[tick] = alive
-        if not alive.any():
-            break
+    stands = np.zeros((ticks, n), bool)
+    for tried in trying(act, world, ticks):
+        sensed[tried.tick], action[tried.tick], stands[tried.tick] = tried.sensed, tried.action, tried.stands
+        reward[tried.tick] = np.sum(list(world.rewards(tried.now).values()), axis=0)
     return sensed, action, reward, stands

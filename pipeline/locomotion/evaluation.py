@@ -1,19 +1,16 @@
 """Evaluation: attempts of seeds of their own, each played once to its end, and the baselines that belong beside it."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.locomotion.body import LeggedBody
-from pipeline.locomotion.starts import draw_start
+from pipeline.locomotion.starts import draw_start, seed_of
 from pipeline.locomotion.tasks import LeggedTask
+from pipeline.locomotion.trying import Act, trying
 from pipeline.locomotion.world import LeggedWorld
 from pipeline.protocols import Array
-
-type Act = Callable[[NDArray[np.float32]], Array]
-"""What is sensed, shape (n, w) -> actions, shape (n, j)."""
 
 EVALUATION = 0x6576616C
 """Word that keeps the seeds of these starts apart from those of training."""
@@ -50,7 +47,7 @@ class Evaluated:
 
 def evaluation_seed(seed: int, k: int) -> int:
     """Seed of the k-th start; no training meets it."""
-    return int(np.random.SeedSequence([seed, k, EVALUATION]).generate_state(1, np.uint64)[0] >> 1)
+    return seed_of(seed, k, EVALUATION)
 
 
 def evaluate(act: Act, body: LeggedBody, task: LeggedTask, *, n: int = 200, seed: int = 0, stratum: str | None = None,
@@ -63,21 +60,17 @@ def evaluate(act: Act, body: LeggedBody, task: LeggedTask, *, n: int = 200, seed
     sums, error = dict.fromkeys(task.weights, 0.0), 0.0
     settled, covered = round(SETTLED_S * task.control_hz), np.zeros((n, 3))
     steps, airborne, stood = np.zeros(n), np.zeros(n), np.ones((n, len(body.feet)), bool)
-    for tick in range(task.ticks):
-        world.act(act(world.observe()))
-        now = world.motion()
-        alive &= ~world.fallen(now)
+    for tried in trying(act, world, task.ticks):
+        now, alive = tried.now, tried.stands
         length += alive
         for name, values in world.rewards(now).items():
             sums[name] += float(values[alive].sum())
         error += float(np.linalg.norm(now.velocity[:, :2] - now.command[:, :2], axis=1)[alive].sum())
-        if tick >= settled:
+        if tried.tick >= settled:
             covered[alive] += now.velocity[alive]
             steps += alive * (now.contact & ~stood).sum(axis=1)
             airborne += alive & ~now.contact.any(axis=1)
         stood = now.contact
-        if not alive.any():
-            break
     ticks, counted = max(1, int(length.sum())), np.maximum(length - settled, 0)
 
     def mean(total: Array) -> Array:

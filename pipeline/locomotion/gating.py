@@ -10,6 +10,7 @@ from pipeline.locomotion.curriculum import HardStart, spread_about
 from pipeline.locomotion.scenes import hard_scene, legged_scenes, starts_of
 from pipeline.locomotion.starts import as_data, from_data
 from pipeline.locomotion.tasks import load_legged_task
+from pipeline.locomotion.trying import trying
 from pipeline.locomotion.varied import VariedWorld, vary
 from pipeline.protocols import Observation, Policy
 from pipeline.simulation.tasks import scene_seed
@@ -27,11 +28,9 @@ def play(policy: Policy, scenes: Sequence[SceneSpec], *, threads: int = 1) -> ND
     world.restart(ids, starts_of(scenes, body))
     policy.reset(world.n)
     stands = np.ones(world.n, bool)
-    for _ in range(task.ticks):
-        world.act(policy.act(Observation(world.observe().astype(np.float64), nothing), ids))
-        stands &= ~world.fallen(world.motion())
-        if not stands.any():
-            break
+    for tried in trying(lambda sensed: policy.act(Observation(sensed.astype(np.float64), nothing), ids), world,
+                        task.ticks):
+        stands = tried.stands
     return stands
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pipeline.errors import SimulationError
 from pipeline.locomotion.body import LeggedBody
+from pipeline.locomotion.delay import DelayLine
 from pipeline.locomotion.scenes import starts_of
 from pipeline.locomotion.tasks import LeggedTask
 from pipeline.locomotion.world import SPEED_SCALE, TURN_SCALE, LeggedWorld
@@ -78,9 +79,7 @@ class LeggedRobots:
         self.efforts = self.batch.bind("actuator_force")
         """Actuator forces of the last step [N m], shape (n, j); valid until the next call of the engine."""
         self._zeros = self.quirks.joint_bias * np.random.default_rng([self.quirks.seed, 0x0E2C]).standard_normal(j)
-        self._late = -(-self.quirks.delay_steps // task.substeps)
-        self._line = np.zeros((n, self._late + 1, j))
-        """What was asked for at this tick and before, the newest first."""
+        self._line = DelayLine(np.full(n, self.quirks.delay_steps), task.substeps, j)
         self.fell = np.zeros(n, bool)
         """Truth: which have fallen so far."""
         ticks = task.ticks + 1
@@ -123,12 +122,9 @@ class LeggedRobots:
                                   "action holds a value that is not finite", where=f"{len(ids)} legged robots",
                                   mend="use a policy of this robot: one finite share in [-1, 1] for each of "
                                        f"{', '.join(self.body.joints)}")
-        asked, steps = np.clip(action, -1.0, 1.0), self.task.substeps
-        self._line[ids, 1:] = self._line[ids, :-1]
-        self._line[ids, 0] = asked
-        old = self.quirks.delay_steps - steps * (self._late - 1) if self._late else 0
-        late = [(self._line[ids, self._late], old), (self._line[ids, max(self._late - 1, 0)], steps - old)]
-        self.world.act_on(ids, asked, [(self.world.targets(share), count) for share, count in late])
+        asked = np.clip(action, -1.0, 1.0)
+        self._line.ask(asked, ids)
+        self.world.act_on(ids, asked, [(self.world.targets(share), steps) for share, steps in self._line.heard(ids)])
         self._sent[ids] = self.world.targets(asked)
         self.fell[ids] |= self.world.fallen(self.world.motion())[ids]
 
@@ -156,7 +152,7 @@ class LeggedRobots:
     def save(self, ids: Ids) -> tuple[Array, Array]:
         """State rows: the engine's (mjSTATE_INTEGRATION), and the rest that a restore needs."""
         world, k = self.world, len(ids)
-        rest = np.column_stack([world.action[ids], world.previous[ids], self._line[ids].reshape(k, -1),
+        rest = np.column_stack([world.action[ids], world.previous[ids], self._line.asked[ids].reshape(k, -1),
                                 world.clock(ids), self.fell[ids]])
         return self.batch.state[ids].copy(), rest.astype(np.float64)
 
@@ -166,7 +162,7 @@ class LeggedRobots:
         Raises:
             SimulationError: states of another robot or task.
         """
-        j, line = len(self.body.joints), self._line[0].size
+        j, line = len(self.body.joints), self._line.asked[0].size
         wanted = (self.batch.state.shape[1], 2 * j + line + 3)
         if (found := (rows.shape[1], rest.shape[1])) != wanted:
             raise SimulationError(f"state of {found[0]} and {found[1]} values, this robot has {wanted[0]} and "
@@ -176,7 +172,7 @@ class LeggedRobots:
         world, (action, previous, asked, clock, fell) = self.world, np.split(
             rest, [j, 2 * j, 2 * j + line, 2 * j + line + 2], axis=1)
         world.action[ids], world.previous[ids] = action, previous
-        self._line[ids] = asked.reshape(len(ids), -1, j)
+        self._line.asked[ids] = asked.reshape(len(ids), -1, j)
         world.set_clock(ids, clock)
         self.fell[ids] = fell[:, 0] > 0
 

@@ -52,6 +52,11 @@ def from_data(data: LeggedStart) -> Start:
                  np.array(data.rates) if data.rates else None)
 
 
+def seed_of(*words: int) -> int:
+    """A seed that follows from numbers and words alone; no two different rows of them share one, but by chance."""
+    return int(np.random.SeedSequence(words).generate_state(1, np.uint64)[0] >> 1)
+
+
 def draw_start(task: "LeggedTask", body: "LeggedBody", stratum: str, seed: int) -> Start:
     """The start that this seed gives; ConfigError lists the kinds of start that there are."""
     if stratum not in task.starts:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.locomotion.body import LeggedBody
+from pipeline.locomotion.delay import DelayLine
 from pipeline.locomotion.spaces import SENSED_MOST
 from pipeline.locomotion.starts import Start
 from pipeline.locomotion.tasks import LeggedTask
@@ -59,9 +60,7 @@ class VariedWorld(LeggedWorld):
                 self._differs[draw.name][place] = draw.value
         joints, self._seed, self._acted = len(body.joints), seed, 0
         delay = np.round(self._differs["delay_s"] * task.control_hz * task.substeps).astype(np.int64)
-        self._places, self._late = np.arange(self.n), _late(delay, task.substeps)
-        self._line = np.zeros((self.n, 1 + max(int(late.max()) for late, _ in self._late), joints))
-        """What was asked for at this tick and before, the newest first."""
+        self._places, self._line = np.arange(self.n), DelayLine(delay, task.substeps, joints)
         skew = np.random.default_rng([seed, 83]).standard_normal((self.n, 5 + joints)) * self._differs["skew"][:, None]
         self._skew = skew * np.repeat([SENSORS[k][1] for k in ("turning", "tilt", "joints")], [3, 2, joints])
         self._apply()
@@ -91,22 +90,24 @@ class VariedWorld(LeggedWorld):
 
     @override
     def act(self, action: Array) -> None:
+        """As LeggedWorld.act; what the motors hear is as late as each robot's delay."""
         self._accept(action)
-        self._line[:, 1:] = self._line[:, :-1]
-        self._line[:, 0] = self.action
-        for late, steps in self._late:
-            self._ctrl[:] = self.targets(self._line[self._places, late])
+        self._line.ask(self.action, self._places)
+        for action, steps in self._line.heard(self._places):
+            self._ctrl[:] = self.targets(action)
             self.batch.step(nstep=steps)
         self.ticks += 1
         self._acted += 1
 
     @override
     def restart(self, ids: Ids, starts: Sequence[Start]) -> None:
+        """As LeggedWorld.restart; nothing is on its way to the motors."""
         super().restart(ids, starts)
-        self._line[ids] = 0.0
+        self._line.asked[ids] = 0.0
 
     @override
     def observe(self) -> NDArray[np.float32]:
+        """As LeggedWorld.observe, with the faults of each robot's sensors."""
         sensed, joints = super().observe(), len(self.body.joints)
         noise = np.random.default_rng([self._seed, self._acted, 89]).standard_normal((self.n, 5 + 2 * joints))
         noise *= self._differs["noise"][:, None] * np.repeat(
@@ -120,26 +121,11 @@ class VariedWorld(LeggedWorld):
 
     @override
     def save(self) -> Mapping[str, NDArray[np.float64]]:
-        return {**super().save(), "line": self._line.copy(), "acted": np.array([float(self._acted)])}
+        """As LeggedWorld.save, and what is on its way to the motors."""
+        return {**super().save(), "line": self._line.asked.copy(), "acted": np.array([float(self._acted)])}
 
     @override
     def load(self, saved: Mapping[str, NDArray[np.float64]]) -> None:
+        """Go on from what `save` gave, bit for bit."""
         super().load(saved)
-        self._line[:], self._acted = saved["line"], int(saved["acted"][0])
-
-
-def _late(delay: NDArray[np.int64], substeps: int) -> list[tuple[NDArray[np.int64], int]]:
-    """How many commands ago the motors of each place heard what they do, and for how many steps of the engine.
-
-    Args:
-        delay: of each place [steps of the engine].
-        substeps: of a control period; the parts of what is returned make one up.
-    """
-    parts: list[tuple[NDArray[np.int64], int]] = []
-    for step in range(substeps):
-        late = np.maximum(-((step - delay) // substeps), 0)
-        if parts and np.array_equal(parts[-1][0], late):
-            parts[-1] = (late, parts[-1][1] + 1)
-        else:
-            parts.append((late, 1))
-    return parts
+        self._line.asked[:], self._acted = saved["line"], int(saved["acted"][0])

@@ -142,9 +142,8 @@ class LeggedWorld:
         self.previous[ids], self.action[ids] = self.action[ids], action
         self._push(ids)
         for targets, steps in sent:
-            if steps:
-                self._ctrl[ids] = targets
-                self.batch.step(ids, nstep=steps)
+            self._ctrl[ids] = targets
+            self.batch.step(ids, nstep=steps)
         self.ticks[ids] += 1
 
     def targets(self, action: Array) -> Array:

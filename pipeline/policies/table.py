@@ -162,9 +162,9 @@ POLICIES: Mapping[str, PolicyKind] = MappingProxyType({
         "policies/course.py", "policies/ensembling.py", "policies/export.py", "policies/network.py",
         "policies/optimiser.py", "policies/training.py"), sees=True),
     "ppo": PolicyKind(_load_ppo, _fit_ppo, _write_ppo, _export_ppo, _open_ppo, (
-        "locomotion/attempts.py", "locomotion/biped.py", "locomotion/curriculum.py", "locomotion/lesson.py",
-        "locomotion/rewards.py", "locomotion/starts.py", "locomotion/tasks.py", "locomotion/varied.py",
-        "locomotion/world.py", "ppo/checkpoint.py", "ppo/config.py", "ppo/export.py", "ppo/fitting.py", "ppo/model.py",
+        "locomotion/attempts.py", "locomotion/biped.py", "locomotion/curriculum.py", "locomotion/delay.py",
+        "locomotion/lesson.py", "locomotion/rewards.py", "locomotion/starts.py", "locomotion/tasks.py",
+        "locomotion/varied.py", "locomotion/world.py", "ppo/checkpoint.py", "ppo/config.py", "ppo/export.py", "ppo/fitting.py", "ppo/model.py",
         "ppo/normaliser.py", "ppo/training.py", "ppo/vec_env.py", "ppo/weights.py")),
 })
 
