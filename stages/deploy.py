@@ -2,20 +2,20 @@
 
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
 from pathlib import Path
 from typing import override
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.deployed import Deployed, apart
 from pipeline.protocols import Array, Ids, Observation, Policy
 from pipeline.shadow.ridden import Ridden
 from pipeline.shadow.riders import Riders
-from pipeline.signals.curves import Curves, curves
+from pipeline.signals.curves import curves
 from pipeline.signals.neighbours import Neighbours
 from pipeline.signals.tick import Signals, plan_of
-from pipeline.simulation.recordings import Recorded, episode_id, record
+from pipeline.simulation.recordings import episode_id, record
 from pipeline.simulation.rollout import rollout
 from pipeline.simulation.tasks import mixed_strata, sample_scene, scene_seed
 from pipeline.simulation.tracing import Tracer
@@ -29,23 +29,6 @@ from schemas.scene import SceneSpec
 
 type Sight = Callable[[Policy, World], AbstractContextManager[Policy]]
 """Hands the pictures of this robot's cameras to a driver, see pipeline.simulation.eyes.with_eyes."""
-
-
-@dataclass(frozen=True, slots=True)
-class Deployed:
-    """Recorded attempts; the truth is for the report alone."""
-
-    recorded: tuple[Recorded, ...]
-    truth: NDArray[np.bool_]
-    """Whether each attempt really succeeded, shape (n,)."""
-    robot_s: float
-    """Robot time spent [s]."""
-    disagreement: Array
-    """Mean disagreement of the first rider with the champion in each attempt, NaN without an answer, shape (n,)."""
-    shadows: Mapping[str, str]
-    """Candidate that rode along -> what became of it, see pipeline.shadow.riders.Riders.states."""
-    signals: Curves
-    """Signals of risk by tick, of attempts that succeeded and that failed; empty where nobody watched."""
 
 
 def deploy(policy: Policy, policy_id: str, recipe: Recipe, *, seed: int, twin: int, generation: int, folder: Path,
@@ -81,7 +64,7 @@ def deploy(policy: Policy, policy_id: str, recipe: Recipe, *, seed: int, twin: i
                 for i, (scene, trace) in enumerate(zip(scenes, traces, strict=True))]
     recorded = record(folder, world.setup, episodes, traces, config=recipe.harvest.model_dump(), software=software)
     return Deployed(tuple(recorded), result.success, float(result.ticks.sum() / world.control_hz),
-                    np.array([_mean_apart(t) for t in traces]), riders.states() if riders else {},
+                    apart(traces), riders.states() if riders else {},
                     curves([t.signals for t in traces], ~result.success))
 
 
@@ -91,14 +74,6 @@ def deploy_scenes(recipe: Recipe, *, seed: int, twin: int, generation: int) -> l
                          np.random.default_rng([31, seed, generation]))
     return [sample_scene(recipe.task, "deploy", scene_seed("deploy", seed, generation, i), name, robot=recipe.robot,
                          scene=recipe.scene, twin=twin) for i, name in enumerate(names)]
-
-
-def _mean_apart(trace: Trace) -> float:
-    """Mean disagreement of the first rider, over the ticks that it answered; NaN where there are none."""
-    for shadow in trace.shadows.values():
-        known = shadow.disagreement[np.isfinite(shadow.disagreement)]
-        return float(known.mean()) if len(known) else np.nan
-    return np.nan
 
 
 class _Ridden(Ridden):

@@ -1,12 +1,12 @@
 """Deploy a legged robot: the released policy balances the twin, and every attempt is recorded."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.deployed import Deployed, apart
 from pipeline.locomotion.bodies import load_legged
 from pipeline.locomotion.falls import FALL_TRIGGERS, FallSenses, fall_family, fallen
 from pipeline.locomotion.robots import LeggedRobots
@@ -16,7 +16,7 @@ from pipeline.ppo.policy import check_fit
 from pipeline.protocols import Array, Ids, Observation, Policy
 from pipeline.shadow.ridden import Ridden
 from pipeline.shadow.riders import Riders
-from pipeline.simulation.recordings import Recorded, episode_id, record
+from pipeline.simulation.recordings import episode_id, record
 from pipeline.simulation.rollout import rollout
 from pipeline.simulation.tasks import scene_seed
 from pipeline.trace import Event, Trace
@@ -26,23 +26,8 @@ from schemas.recipe import Recipe
 from schemas.scene import SceneSpec
 
 
-@dataclass(frozen=True, slots=True)
-class DeployedLegged:
-    """Recorded attempts; the truth is for the report alone."""
-
-    recorded: tuple[Recorded, ...]
-    truth: NDArray[np.bool_]
-    """Whether each attempt really stayed on its feet, shape (n,)."""
-    robot_s: float
-    """Robot time spent [s]."""
-    disagreement: Array
-    """Mean disagreement of the first rider with the champion in each attempt, NaN without an answer, shape (n,)."""
-    shadows: Mapping[str, str]
-    """Candidate that rode along -> what became of it, see pipeline.shadow.riders.Riders.states."""
-
-
 def deploy_legged(policy: Policy, policy_id: str, recipe: Recipe, *, seed: int, twin: int, generation: int,
-                  folder: Path, software: Mapping[str, str], riders: Riders | None = None) -> DeployedLegged:
+                  folder: Path, software: Mapping[str, str], riders: Riders | None = None) -> Deployed:
     """Let the policy work on the twin; an attempt ends when the robot senses that it falls, or its time is up.
 
     Args:
@@ -75,8 +60,8 @@ def deploy_legged(policy: Policy, policy_id: str, recipe: Recipe, *, seed: int, 
                 for i, (scene, trace) in enumerate(zip(scenes, traces, strict=True))]
     config = {"fallen_rad": robots.task.fallen_rad, "fallen_height": robots.task.fallen_height}
     recorded = record(folder, robots.setup, episodes, traces, config=config, software=software)
-    return DeployedLegged(tuple(recorded), result.success, float(result.ticks.sum() / robots.control_hz),
-                          _apart(traces), riders.states() if riders else {})
+    return Deployed(tuple(recorded), result.success, float(result.ticks.sum() / robots.control_hz),
+                          apart(traces), riders.states() if riders else {})
 
 
 def deploy_legged_scenes(recipe: Recipe, *, seed: int, twin: int, generation: int) -> list[SceneSpec]:
@@ -85,16 +70,6 @@ def deploy_legged_scenes(recipe: Recipe, *, seed: int, twin: int, generation: in
                          np.random.default_rng([31, seed, generation]))
     drawn = [(scene_seed("deploy", seed, generation, i), name) for i, name in enumerate(names)]
     return legged_scenes(recipe.task, recipe.robot, "deploy", drawn, twin)
-
-
-def _apart(traces: Sequence[Trace]) -> Array:
-    """Mean disagreement of the first rider in each attempt, over the ticks that it answered; NaN where none."""
-    means = np.full(len(traces), np.nan)
-    for i, trace in enumerate(traces):
-        for shadow in [*trace.shadows.values()][:1]:
-            known = shadow.disagreement[np.isfinite(shadow.disagreement)]
-            means[i] = known.mean() if len(known) else np.nan
-    return means
 
 
 class _Watch:

@@ -1,9 +1,7 @@
 """The deployment side of a legged robot's lap: exam, deployment, harvest."""
 
-import numpy as np
-from pydantic import JsonValue
 
-from flows.run import facts, summary
+from flows.run import facts, worked
 from flows.run.arm_run import ArmRun, Made, no_rows
 from flows.run.legged_learning import rl_of
 from flows.run.steps_api import Progress
@@ -14,6 +12,7 @@ from pipeline.locomotion.world import width_of
 from pipeline.shadow.riders import Riders
 from pipeline.shadow.sizes import legged
 from pipeline.store import Transaction
+from schemas.verdict import Proportion
 from stages.deploy_legged import deploy_legged
 from stages.exam_legged import exam_legged, stands_by
 from stages.harvest_legged import harvest_legged
@@ -21,25 +20,12 @@ from stages.harvest_legged import harvest_legged
 
 def examined(run: ArmRun, generation: int, progress: Progress) -> Made:
     """Champion and candidate on the starts that no decision reads; a policy sits its exam once."""
-    champion, candidate = run.champion(generation), run.candidate(generation)
-    results = dict(run.material.exams())
-    fresh = [p for p in dict.fromkeys((champion, candidate)) if p not in results]
-    for k, policy in enumerate(fresh):
-        results[policy] = graded(run, exam_legged(run.policy(policy), run.recipe, seed=run.seed, twin=run.twin))
-        progress(k + 1, len(fresh))
-    mix = summary.proportions(results[champion])["deployment_mix"]
-    says = f"champion falls in {1 - mix.rate:.3f} [{1 - mix.high:.3f} {1 - mix.low:.3f}] at the deployment mix"
-    return Made((champion,), says, {"champion": champion, "candidate": candidate,
-                                    "results": {p: results[p] for p in {champion, candidate}}}, no_rows)
+    def sit(policy: str) -> tuple[ExamResult, dict[str, Proportion]]:
+        done = exam_legged(run.policy(policy), run.recipe, seed=run.seed, twin=run.twin)
+        return done, stands_by(done.success, done.strata, run.recipe)
 
-
-def graded(run: ArmRun, done: ExamResult) -> dict[str, JsonValue]:
-    """An exam as its manifest keeps it."""
-    success = stands_by(done.success, done.strata, run.recipe)
-    return {
-        "bits": "".join("01"[int(s)] for s in done.success), "strata": list(done.strata),
-        "rewards": {n: [round(float(v), 5) for v in c if np.isfinite(v)] for n, c in done.rewards.items()},
-        "success": {kind: p.model_dump() for kind, p in success.items()}}
+    return worked.examined(run, generation, progress, sit, lambda mix: (
+        f"champion falls in {1 - mix.rate:.3f} [{1 - mix.high:.3f} {1 - mix.low:.3f}] at the deployment mix"))
 
 
 def deployed(run: ArmRun, generation: int) -> Made:
@@ -54,13 +40,8 @@ def deployed(run: ArmRun, generation: int) -> Made:
         done = deploy_legged(run.policy(champion), champion, run.recipe, seed=run.seed, twin=run.twin,
                              generation=generation, folder=run.folder(), software=facts.software("deploy_legged"),
                              riders=riders if others else None)
-    numbers: dict[str, JsonValue] = {
-        "robot_s": done.robot_s, "truth": "".join("01"[int(t)] for t in done.truth),
-        "disagreement": [None if np.isnan(d) else round(float(d), 5) for d in done.disagreement]}
-    if done.shadows:
-        numbers["shadows"] = dict(done.shadows)
     fell = sum(r.episode.outcome.label == "failure" for r in done.recorded)
-    return run.recorded(done.recorded, f"{fell} of {len(done.recorded)} attempts ended in a fall", numbers)
+    return run.recorded(done.recorded, f"{fell} of {len(done.recorded)} attempts ended in a fall", worked.worked(done))
 
 
 def harvested(run: ArmRun, generation: int) -> Made:

@@ -3,9 +3,8 @@
 from collections.abc import Sequence
 
 import numpy as np
-from pydantic import JsonValue
 
-from flows.run import facts, summary
+from flows.run import facts, worked
 from flows.run.arm_run import ArmRun, Made, no_rows
 from flows.run.judging import judged_at
 from flows.run.mining import mined_at
@@ -18,6 +17,7 @@ from pipeline.simulation.recordings import Recorded
 from pipeline.store import Transaction
 from schemas.hardcase import HardCase
 from schemas.scene import SceneSpec
+from schemas.verdict import Proportion
 from stages.deploy import deploy, deploy_scenes
 from stages.exam import ExamResult, exam, success_by
 from stages.harvest import Attempt, Harvested, demonstrate, hard_cases, harvest
@@ -31,25 +31,12 @@ DEMONSTRATION_S = 2
 
 def examined(run: ArmRun, generation: int, progress: Progress) -> Made:
     """Champion and candidate on the starts that no decision reads; a policy sits its exam once."""
-    champion, candidate = run.champion(generation), run.candidate(generation)
-    results = dict(run.material.exams())
-    fresh = [p for p in dict.fromkeys((champion, candidate)) if p not in results]
-    for k, policy in enumerate(fresh):
-        results[policy] = _graded(run, exam(run.policy(policy), run.recipe, seed=run.seed, twin=run.twin))
-        progress(k + 1, len(fresh))
-    mix = summary.proportions(results[champion])["deployment_mix"]
-    return Made((champion,), f"champion {mix.rate:.3f} [{mix.low:.3f} {mix.high:.3f}] at the deployment mix",
-                {"champion": champion, "candidate": candidate,
-                 "results": {p: results[p] for p in {champion, candidate}}}, no_rows)
+    def sit(policy: str) -> tuple[ExamResult, dict[str, Proportion]]:
+        done = exam(run.policy(policy), run.recipe, seed=run.seed, twin=run.twin)
+        return done, success_by(done.success, done.strata, run.recipe)
 
-
-def _graded(run: ArmRun, done: ExamResult) -> dict[str, JsonValue]:
-    """An exam as its manifest keeps it."""
-    success = success_by(done.success, done.strata, run.recipe)
-    return {
-        "bits": "".join("01"[int(s)] for s in done.success), "strata": list(done.strata),
-        "rewards": {n: [round(float(v), 5) for v in c if np.isfinite(v)] for n, c in done.rewards.items()},
-        "success": {kind: p.model_dump() for kind, p in success.items()}}
+    return worked.examined(run, generation, progress, sit, lambda mix: (
+        f"champion {mix.rate:.3f} [{mix.low:.3f} {mix.high:.3f}] at the deployment mix"))
 
 
 def deployed(run: ArmRun, generation: int) -> Made:
@@ -65,17 +52,9 @@ def deployed(run: ArmRun, generation: int) -> Made:
                       folder=run.folder(), software=facts.software("deploy"), riders=riders,
                       neighbours=neighbours_of(champion, run.store) if config.shadow else None,
                       sight=sight_of(policy, run.twin))
-    numbers: dict[str, JsonValue] = {
-        "robot_s": done.robot_s, "truth": "".join("01"[int(t)] for t in done.truth),
-        "disagreement": [None if np.isnan(d) else round(float(d), 5) for d in done.disagreement]}
-    if done.shadows:
-        numbers["shadows"] = dict(done.shadows)
-    if done.signals:
-        numbers["signals"] = {name: {kind: [*values] for kind, values in kinds.items()}
-                              for name, kinds in done.signals.items()}
     flagged = sum(r.episode.outcome.label == "failure" for r in done.recorded)
     says = f"{flagged} of {len(done.recorded)} attempts flagged by the robot"
-    return run.recorded(filmed(done.recorded, run.recipe, run.twin), says, numbers)
+    return run.recorded(filmed(done.recorded, run.recipe, run.twin), says, worked.worked(done))
 
 
 def harvested(run: ArmRun, generation: int, progress: Progress) -> Made:

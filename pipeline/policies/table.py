@@ -164,8 +164,8 @@ POLICIES: Mapping[str, PolicyKind] = MappingProxyType({
     "ppo": PolicyKind(_load_ppo, _fit_ppo, _write_ppo, _export_ppo, _open_ppo, (
         "locomotion/attempts.py", "locomotion/biped.py", "locomotion/curriculum.py", "locomotion/delay.py",
         "locomotion/lesson.py", "locomotion/rewards.py", "locomotion/starts.py", "locomotion/tasks.py",
-        "locomotion/varied.py", "locomotion/world.py", "ppo/checkpoint.py", "ppo/config.py", "ppo/export.py", "ppo/fitting.py", "ppo/model.py",
-        "ppo/normaliser.py", "ppo/training.py", "ppo/vec_env.py", "ppo/weights.py")),
+        "locomotion/varied.py", "locomotion/world.py", "ppo/checkpoint.py", "ppo/config.py", "ppo/export.py",
+        "ppo/fitting.py", "ppo/model.py", "ppo/normaliser.py", "ppo/training.py", "ppo/vec_env.py", "ppo/weights.py")),
 })
 
 

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from pipeline.deployed import Deployed
 from pipeline.lerobot_view.training_data import TrainingData
 from pipeline.policies.onnx_policy import OnnxPolicy
 from pipeline.recording import read_episode, read_frames
@@ -23,7 +24,7 @@ from schemas.recipe import (
 from stages.augment import Augmented, augment
 from stages.build import build
 from stages.collect import collect
-from stages.deploy import Deployed, deploy
+from stages.deploy import deploy
 from stages.harvest import Attempt, Harvested, harvest
 from stages.train import train
 
