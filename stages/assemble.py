@@ -51,21 +51,13 @@ def assemble(cases: Sequence[HardCase], episodes: Mapping[str, Episode], recipe:
     if recipe.rl is None:
         raise ConfigError("a curriculum needs the numbers of its recipe", where=f"recipe {recipe.name}: rl",
                           mend="give the recipe a section rl, as in datasets/recipes/biped.yaml")
-    task = load_legged_task(recipe.task)
     taught, held = _split([c for c in cases if c.start is not None], recipe.rl)
     used = list({c.episode: episodes[c.episode] for c in (*taught, *held)}.values())
     consents.check(used)
-    starts = _weighted(taught, recipe.rl, generation)
-    share = recipe.rl.hard_share if starts else 0.0
-    kinds = dict.fromkeys(task.common, 1.0)
-    lesson = Lesson(
-        body=recipe.robot, name=recipe.task, task=task,
-        curriculum=Curriculum(kinds=kinds, hard_share=share, spread=recipe.rl.spread if starts else 0.0, starts=starts),
-        vary=recipe.rl.vary, held_out=tuple(_hard(c, 1.0) for c in held),
-        needs={e: n for e, n in needs(used).items() if n})
-    code = code_hash()
+    lesson = _lesson(_weighted(taught, recipe.rl, generation), held, used, recipe, recipe.rl)
+    code, share = code_hash(), lesson.curriculum.hard_share
     version = short_id("curriculum", lesson.model_dump_json(), generation, parent.id if parent else "", code)
-    target, hard = store / FOLDER / version, (*taught, *held)
+    target = store / FOLDER / version
     if not target.exists():
         content: dict[str, Any] = {
             "id": version, "generation": generation, "parent": parent.id if parent else None, "code": code,
@@ -73,10 +65,20 @@ def assemble(cases: Sequence[HardCase], episodes: Mapping[str, Episode], recipe:
             "held_out": list(dict.fromkeys(c.episode for c in held)),
             "weights": {DRAWN: 1 - share, HARD: share} if share else {DRAWN: 1.0},
             "inputs": list(dict.fromkeys(e.blob for e in used if e.blob)), "frames": 0,
-            "starts": [c.id for c in hard]}
-        lesson.write(target, write_content(content, recipe=recipe.model_dump(mode="json"), task=task.instruction),
-                     aside=store / "tmp")
+            "starts": [c.id for c in (*taught, *held)]}
+        lesson.write(target, write_content(content, recipe=recipe.model_dump(mode="json"),
+                                           task=lesson.task.instruction), aside=store / "tmp")
     return load_version(target)
+
+
+def _lesson(starts: tuple[HardStart, ...], held: Sequence[HardCase], used: Sequence[Episode], recipe: Recipe,
+            rl: RlConfig) -> Lesson:
+    """What a lap learns from; without a hard start all are drawn."""
+    task = load_legged_task(recipe.task)
+    curriculum = Curriculum(kinds=dict.fromkeys(task.common, 1.0), hard_share=rl.hard_share if starts else 0.0,
+                            spread=rl.spread if starts else 0.0, starts=starts)
+    return Lesson(body=recipe.robot, name=recipe.task, task=task, curriculum=curriculum, vary=rl.vary,
+                  held_out=tuple(_hard(c, 1.0) for c in held), needs={e: n for e, n in needs(used).items() if n})
 
 
 def code_hash() -> str:

@@ -20,6 +20,40 @@ def _no_test_takes_the_machine() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session")
+def strider_urdf() -> str:
+    """A robot of one hinge that stands on its leg, as people hand it in."""
+    return """
+<robot name="strider">
+  <link name="trunk"><inertial><mass value="4"/><inertia ixx=".04" iyy=".04" izz=".04" ixy="0" ixz="0" iyz="0"/>
+    </inertial><collision><geometry><box size=".2 .2 .2"/></geometry></collision></link>
+  <link name="leg"><inertial><origin xyz="0 0 -.2"/><mass value="1"/>
+    <inertia ixx=".01" iyy=".01" izz=".001" ixy="0" ixz="0" iyz="0"/></inertial>
+    <collision><origin xyz="0 0 -.2"/><geometry><box size=".16 .1 .4"/></geometry></collision></link>
+  <joint name="hip" type="revolute"><parent link="trunk"/><child link="leg"/><axis xyz="0 1 0"/>
+    <limit lower="-1" upper="1" effort="30" velocity="10"/><dynamics damping=".5"/></joint>
+</robot>
+"""
+
+
+@pytest.fixture(scope="session")
+def interrupted() -> Callable[[type], type]:
+    """Makes a kind of policy one during whose tick `at` something `happens` to somebody else."""
+    def kind(policy: type) -> type:
+        class Interrupted(policy):
+            at, happens, tick = -1, staticmethod(lambda: None), 0
+
+            def act(self, observation, ids):
+                if self.tick == self.at:
+                    self.happens()
+                self.tick += 1
+                return super().act(observation, ids)
+
+        return Interrupted
+
+    return kind
+
+
 @pytest.fixture
 def hardcase(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple]:
     """Types a command line in this process; returns exit code, stdout and stderr."""

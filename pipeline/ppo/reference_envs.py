@@ -53,6 +53,7 @@ class GymnasiumVecEnv(EngineVecEnv):
 
     @override
     def step_wait(self) -> Stepped:
+        """One step of every attempt; those that ended have begun anew, as in DummyVecEnv behind a Monitor."""
         length = self.world.ticks + 1
         tick = self.world.step(self._action)
         self._gained += tick.reward

@@ -13,7 +13,6 @@ from pipeline.locomotion.world import LeggedWorld
 from pipeline.ppo.export import build
 from pipeline.ppo.normaliser import Normaliser
 from pipeline.ppo.policy import LeggedPolicy
-from pipeline.protocols import Array, Ids, Observation
 from pipeline.recording import read_episode
 from pipeline.shadow.limits import Limits
 from pipeline.shadow.riders import Riders
@@ -51,27 +50,15 @@ def files(tmp_path_factory) -> Mapping[str, Path]:
     return made
 
 
-class Interrupted(LeggedPolicy):
-    """The champion; at one of its ticks something happens to somebody else."""
-
-    at, happens, tick = -1, staticmethod(lambda: None), 0
-
-    def act(self, observation: Observation, ids: Ids) -> Array:
-        if self.tick == self.at:
-            self.happens()
-        self.tick += 1
-        return super().act(observation, ids)
-
-
 @pytest.fixture(scope="session")
-def work(files, tmp_path_factory) -> Callable[..., SimpleNamespace]:
+def work(files, interrupted, tmp_path_factory) -> Callable[..., SimpleNamespace]:
     """Lets the champion work; `happens` is called with the candidates' process ids at tick `at`."""
     world = LeggedWorld(load_legged("biped"), load_legged_task("stand"), 1)
     sizes = legged(world.width, world.action_size)
 
     def working(candidates: Mapping[str, Path] | None = None, limits: Limits | None = None, *, at: int = -1,
                 happens: Callable[[Mapping[str, int]], None] = lambda pids: None) -> SimpleNamespace:
-        champion = Interrupted(files["champion"])
+        champion = interrupted(LeggedPolicy)(files["champion"])
         folder = tmp_path_factory.mktemp("legged-deployed")
         with Riders(candidates or {}, limits, patient=True, sizes=sizes) as riders:
             champion.at, champion.happens = at, lambda: happens(riders.pids())

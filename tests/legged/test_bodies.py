@@ -16,16 +16,7 @@ from schemas.scene import SceneSpec
 
 TICKS = 450
 """More than one chunk of a recording."""
-HOPPER = """
-<robot name="strider">
-  <link name="trunk"><inertial><mass value="4"/><inertia ixx=".04" iyy=".04" izz=".04" ixy="0" ixz="0" iyz="0"/>
-    </inertial><collision><geometry><box size=".2 .2 .2"/></geometry></collision></link>
-  <link name="leg"><inertial><origin xyz="0 0 -.2"/><mass value="1"/>
-    <inertia ixx=".01" iyy=".01" izz=".001" ixy="0" ixz="0" iyz="0"/></inertial>
-    <collision><origin xyz="0 0 -.2"/><geometry><box size=".16 .1 .4"/></geometry></collision></link>
-  <joint name="hip" type="revolute"><parent link="trunk"/><child link="leg"/><axis xyz="0 1 0"/>
-    <limit lower="-1" upper="1" effort="30" velocity="10"/><dynamics damping=".5"/></joint>
-</robot>"""
+
 
 
 class Swing:
@@ -45,10 +36,10 @@ class Swing:
 
 
 @pytest.fixture(scope="module")
-def swung(tmp_path_factory):
+def swung(tmp_path_factory, strider_urdf):
     """A robot of one joint under torque, from its URDF, for nine seconds: what was traced, and its recording."""
     folder = tmp_path_factory.mktemp("strider")
-    (folder / "strider.urdf").write_text(HOPPER)
+    (folder / "strider.urdf").write_text(strider_urdf)
     body, task = load_legged(str(folder / "strider.urdf")), load_legged_task("stand")
     ids, policy = np.arange(1), Swing()
     scene = SceneSpec(family="study", seed=1, robot="strider", scene="ground", task="stand", stratum="leaning",

@@ -21,19 +21,6 @@ HOPPER = """
   <actuator><{kind} joint="knee" {words}/></actuator></mujoco>
 """
 
-URDF = """
-<robot name="strider">
-  <link name="trunk"><inertial><mass value="4"/><inertia ixx=".04" iyy=".04" izz=".04" ixy="0" ixz="0" iyz="0"/>
-    </inertial><collision><geometry><box size=".2 .2 .2"/></geometry></collision></link>
-  <link name="leg"><inertial><origin xyz="0 0 -.2"/><mass value="1"/>
-    <inertia ixx=".01" iyy=".01" izz=".001" ixy="0" ixz="0" iyz="0"/></inertial>
-    <collision><origin xyz="0 0 -.2"/><geometry><box size=".16 .1 .4"/></geometry></collision></link>
-  <joint name="hip" type="revolute"><parent link="trunk"/><child link="leg"/><axis xyz="0 1 0"/>
-    <limit lower="-1" upper="1" effort="30" velocity="10"/><dynamics damping=".5"/></joint>
-</robot>
-"""
-
-
 @pytest.mark.parametrize(("name", "joints", "control"), [("unitree_h1", 19, "torque"), ("unitree_g1", 29, "position")])
 def test_a_humanoid_of_menagerie_stands_on_its_feet_at_home(menagerie, name, joints, control):
     body = load_legged(name)
@@ -71,9 +58,9 @@ def test_a_file_of_ones_own_becomes_a_body(tmp_path, kind, words, control):
     assert 0 < evaluate(zero_action(1), body, STAND, n=3).length.mean() < STAND.ticks
 
 
-def test_a_urdf_floats_and_has_a_motor_for_every_effort(tmp_path):
+def test_a_urdf_floats_and_has_a_motor_for_every_effort(tmp_path, strider_urdf):
     path = tmp_path / "strider.urdf"
-    path.write_text(URDF)
+    path.write_text(strider_urdf)
     body = load_legged(str(path))
     assert (body.root, body.joints, body.feet, body.control) == ("trunk", ("hip",), ("leg",), "torque")
     assert body.height_m == pytest.approx(0.4)

@@ -11,7 +11,6 @@ from onnx import TensorProto, helper, numpy_helper
 
 from pipeline.frames import ACTION, ENVIRONMENT, STATE
 from pipeline.policies.onnx_policy import OnnxPolicy
-from pipeline.protocols import Array, Ids, Observation
 from pipeline.recording import read_episode
 from pipeline.shadow.limits import Limits
 from pipeline.shadow.riders import Riders
@@ -109,28 +108,16 @@ def files(tmp_path_factory) -> Mapping[str, Path]:
     return made
 
 
-class Interrupted(OnnxPolicy):
-    """The champion; at one of its ticks something happens to somebody else."""
-
-    at, happens, tick = -1, staticmethod(lambda: None), 0
-
-    def act(self, observation: Observation, ids: Ids) -> Array:
-        if self.tick == self.at:
-            self.happens()
-        self.tick += 1
-        return super().act(observation, ids)
-
-
 RECIPE = Recipe(name="tests", deploy=DeployConfig(episodes=20, rare_share=0.1))
 
 
 @pytest.fixture(scope="session")
-def work(files, tmp_path_factory) -> Callable[..., SimpleNamespace]:
+def work(files, interrupted, tmp_path_factory) -> Callable[..., SimpleNamespace]:
     """Lets the champion work in simulation; `happens` is called with the candidates' process ids at tick `at`."""
 
     def working(candidates: Mapping[str, Path], limits: Limits | None = None, *, at: int = -1,
                 happens: Callable[[Mapping[str, int]], None] = lambda pids: None) -> SimpleNamespace:
-        champion = Interrupted(files["good"])
+        champion = interrupted(OnnxPolicy)(files["good"])
         with Riders(candidates, limits, patient=True) as riders:
             champion.at, champion.happens = at, lambda: happens(riders.pids())
             done = deploy(champion, "c" * 16, RECIPE, seed=3, twin=4, generation=0, software={},
