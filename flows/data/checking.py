@@ -11,6 +11,7 @@ from pipeline.check.contract import load_contract
 from pipeline.check.initial import to_yaml
 from pipeline.errors import ConfigError, StoreError
 from pipeline.files import atomic
+from pipeline.lerobot_view.incomplete import refuse_starts
 from pipeline.store import Store, store_root
 from schemas.contract import Contract
 from schemas.episode import VARIANTS, Episode
@@ -88,6 +89,7 @@ def _item(name: str) -> Item:
     with Store.open(store_root()) as store:
         table, id = store.find(name)
         if table == "version":
+            refuse_starts(store.path(store.version(id).path))
             return Item(store.path(store.version(id).path), id, trusted=True)
         if table != "episode":
             raise StoreError(f"{table.replace('_', ' ')} {id} is no recording and no dataset",

@@ -10,6 +10,7 @@ import numpy as np
 from flows.data.deriving import named_version
 from flows.run.arm_run import ArmRun
 from pipeline.errors import ConfigError, StoreError
+from pipeline.lerobot_view.incomplete import refuse_starts
 from pipeline.lerobot_view.opened import FIELDS, open_version
 from pipeline.query import parse
 from pipeline.recipes import recipe_from
@@ -53,8 +54,10 @@ def batch_of(store: Store, order: Order) -> Batch:
 
     Raises:
         StoreError, ConfigError: no such version, lap or episode; a query that finds nothing; everything at once.
+        DatasetError: the version is a curriculum of a legged robot.
     """
     version = _version(store, order.batch)
+    refuse_starts(store.path(version.path))
     run, recipe, seed = _ground(store, version)
     rare = _harvested(store, run, version.generation)
     where = f"version {version.id}"

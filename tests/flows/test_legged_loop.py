@@ -9,11 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from flows.data.checking import check_all
 from flows.data.version_table import versions
 from flows.run.arms import LOOP
 from flows.run.mining_told import mine_run
 from flows.run.shadow_report import judge_candidate
 from flows.run.steps import open_run
+from flows.run.worth import run_worth
+from flows.run.worth_batch import Order
 from flows.service.estimate import turn_steps
 from flows.studies.falls import pool, shares_of, tables
 from pipeline.errors import ConfigError, DatasetError, HardcaseError
@@ -164,8 +167,11 @@ def test_versions_of_starts_are_listed_and_forgotten_like_others(loop, turned, t
     (lambda root, _: judge_candidate(root, "0" * 16, run=None, generation=None, config=JudgeConfig(), keep=False),
      "hardcase loop --control"),
     (lambda root, version: open_version(root / version.path, version), "name a version of frames"),
-], ids=["mine", "judge", "derive and export"])
-def test_what_needs_frames_or_corrections_refuses_with_the_mend(turned, refused, mend):
+    (lambda root, version: run_worth(Order(batch=version.id), as_json=False), "name a version of frames"),
+    (lambda root, version: check_all([version.id], contract=None, out=None), "these starts come from: hardcase why"),
+], ids=["mine", "judge", "derive and export", "worth", "check"])
+def test_what_needs_frames_or_corrections_refuses_with_the_mend(turned, refused, mend, monkeypatch):
+    monkeypatch.setenv("HARDCASE_STORE", str(turned))
     with Store.open(turned) as store:
         newest = store.versions()[-1]
     with pytest.raises(HardcaseError) as error:
