@@ -22,7 +22,7 @@ _MARK = slice(ENVIRONMENT.index("target_x"), ENVIRONMENT.index("target_y") + 1)
 
 
 class StatusLine:
-    """Writes one line a tick on a terminal, and one a second elsewhere.
+    """Writes one line a tick on a terminal; elsewhere one a second, and one where there is something new to know.
 
     Args:
         signals: columns of the robot.
@@ -34,16 +34,16 @@ class StatusLine:
     def __init__(self, signals: Signals, episodes: int, hz: float, stream: TextIO | None = None) -> None:
         self._signals, self._episodes, self._every = signals, episodes, max(1, round(hz))
         self._stream = stream or sys.stderr
-        self._live, self._count, self._who = self._stream.isatty(), 0, ""
+        self._live, self._count, self._who, self._note = self._stream.isatty(), 0, "", ""
 
     def show(self, status: Status) -> None:
         """Write the line of this tick."""
         text = self.line(status)
         if self._live:
             self._write(f"\r{text[:_columns(self._stream) - 1]}\x1b[K")
-        elif self._count % self._every == 0 or status.who != self._who:
+        elif self._count % self._every == 0 or status.who != self._who or status.note not in ("", self._note):
             self._write(text + "\n")
-        self._count, self._who = self._count + 1, status.who
+        self._count, self._who, self._note = self._count + 1, status.who, status.note
 
     def line(self, status: Status) -> str:
         """The line of a tick: how far the hand has to go to cube and mark [cm, degrees], as far as the robot can tell.

@@ -1,10 +1,13 @@
 """What people drove flows into the loop, and only with their consent; what the loop releases can be taken over from."""
 
 import json
+import shutil
 from datetime import UTC, datetime
 
 import numpy as np
+import onnx
 import pytest
+from onnx import TensorProto, helper, numpy_helper
 
 from flows.commands.by_hand import run_stage
 from flows.teleop.devices import TeleopOrder
@@ -12,6 +15,8 @@ from flows.teleop.record import RecordOrder, run_record
 from flows.teleop.teleoperation import run_teleop
 from pipeline.consent import Consents
 from pipeline.errors import ConsentError, HardcaseError
+from pipeline.files import sha256_file
+from pipeline.frames import ACTION, ENVIRONMENT, STATE
 from pipeline.lerobot_view.training_data import TrainingData
 from pipeline.recording import read_episode, read_frames
 from pipeline.simulation.world import CONTROLLER_WIDTH
@@ -118,14 +123,40 @@ def test_a_person_takes_over_from_the_released_policy(taught, pad, plugins_every
     assert planned[0] > 0 and not np.array_equal(*trace.controller[[13, 14], CONTROLLER_WIDTH:]), "it plans anew"
 
 
+@pytest.fixture
+def idle(taught, tmp_path):
+    """That store once more, with a policy that asks for nothing and a closed hand: it fails for certain."""
+    root = tmp_path / "store"
+    shutil.copytree(taught.root, root)
+    (known,) = taught.policies()
+    record = known.model_copy(update={"id": "f" * 16, "checkpoint": "policies/" + "f" * 16})
+    (root / record.checkpoint).mkdir()
+    nothing = numpy_helper.from_array(np.zeros((len(STATE), 4 * len(ACTION)), np.float32), "nothing")
+    shape = numpy_helper.from_array(np.array([0, 4, len(ACTION)]), "shape")
+    nodes = [helper.make_node("MatMul", ["state", "nothing"], ["flat"]),
+             helper.make_node("Reshape", ["flat", "shape"], ["chunk"])]
+    inputs = [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["n", len(columns)])
+              for name, columns in (("state", STATE), ("environment", ENVIRONMENT))]
+    chunk = helper.make_tensor_value_info("chunk", TensorProto.FLOAT, ["n", 4, len(ACTION)])
+    model = helper.make_model(helper.make_graph(nodes, "policy", inputs, [chunk], [nothing, shape]),
+                              opset_imports=[helper.make_opsetid("", 20)], ir_version=10)
+    helper.set_model_props(model, {"ensemble_decay": "0.3"})
+    file = root / record.checkpoint / "policy.onnx"
+    onnx.save_model(model, file)
+    (run,) = (r for r in taught.runs() if taught.policies(run=r))
+    with Store.open(root) as store, store.lease(run) as lease, store.commit(lease, run) as tx:
+        tx.add_policy(record.model_copy(update={"files": {file.name: sha256_file(file)}}))
+    with Store.open(root) as store:
+        yield store
+
+
 @pytest.mark.parametrize("stop", [True, False], ids=["it ends the attempt", "the person is told"])
-def test_a_trigger_notices_where_the_policy_fails(taught, pad, plugins_everywhere, capsys, stop):
-    (policy,) = taught.policies()  # after twenty steps of training it fails for certain
+def test_a_trigger_notices_where_the_policy_fails(idle, pad, plugins_everywhere, capsys, stop):
     order = TeleopOrder(teleop="lerobot:virtual_pad", teleop_keys=pad([{}]), speed=0.0, operator="p1", consent="form-1",
-                        policy=policy.id[:8], stop_on_trigger=stop, max_s=20.0)
-    run_teleop(order, taught.root)
-    episode = taught.episodes(policy=policy.id)[-1]
-    _, trace = read_episode(taught.blob(episode.blob))
+                        policy="ffffffff", stop_on_trigger=stop, max_s=20.0)
+    run_teleop(order, idle.root)
+    (episode,) = idle.episodes(policy="f" * 16)
+    _, trace = read_episode(idle.blob(episode.blob))
     (noticed,) = [e for e in trace.events if e.name == "trigger"]
     trigger, _, family = noticed.text.partition(", ")
     assert trigger in TRIGGERS and family.startswith(f"{trigger}-")
